@@ -206,8 +206,8 @@ def launches():
 
 def streams():
     """Draw the passes of a GPU on their streams, and which wait for which."""
-    lane_of, names = launches(), {"self.ground_light.stream": "wet ground"}
-    lanes = ["self.ground_light.stream", "main", "aside", "beside"]
+    lane_of, names = launches(), {"light.stream": "wet ground"}
+    lanes = ["light.stream", "main", "aside", "beside"]
     on_device = [each for each in PASSES if each.name in lane_of]
     reads, wide, step, y0 = reads_of(PASSES, lane_of), 180, 34, 96
     parts = [text(14, 24, "Streams of the GPU: a pass waits for what it reads of others", "t"),

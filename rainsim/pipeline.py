@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from rainsim.actors.footprint import with_footprints
 from rainsim.backend import free_device_memory, on_backend
-from rainsim.errors import BackendError, ParameterError
+from rainsim.errors import ParameterError
 from rainsim.io import cache
 from rainsim.render.first_view import view_of_water
 from rainsim.render.labels import without_flow
@@ -113,11 +113,6 @@ class FrameSequence:
         Which one a frame shows is `Config.moment`.
     exr : ExrFormat, optional
         How the layers of a frame are written as one file; the layers must be those that it needs.
-
-    Raises
-    ------
-    BackendError
-        If frames show other states than their own on a backend that cannot.
     """
 
     def __init__(
@@ -132,11 +127,6 @@ class FrameSequence:
         self.backend, self.layers, self.states, self.exr = backend, layers, states, exr
         self._renderer = SequenceRenderer(scene, terrain, cameras, config, layers, backend)
         self._water, self._state, self._steps = None, None, 0
-        if config.moments and backend != "cpu":
-            raise BackendError(
-                f"the frames' times are not those of the rain, which {backend} cannot draw; give "
-                "--backend cpu or a path without render_time"
-            )
 
     @property
     def next(self):
@@ -211,7 +201,7 @@ class FrameSequence:
 
 def _shown_at(state, index):
     """Return a state as the one that the frame `index` shows."""
-    return state if state.index == index else replace(state, index=index)
+    return state if state.index == index else state.shown_by(index)
 
 
 def ground_of(

@@ -41,10 +41,8 @@ DRAIN_INTAKE = 0.1  # m/s that a grating takes at most: 8 l/s through an opening
 
 def surfaces_of(terrain):
     """Return the `Surfaces` that drops can hit on a terrain."""
-    return Surfaces(
-        spacing=terrain.grid.spacing, origin=terrain.grid.origin, ground=terrain.bed,
-        top=terrain.top, underside=terrain.underside,
-    )  # fmt: skip
+    grid, heights = terrain.grid, (terrain.bed, terrain.top, terrain.underside)
+    return Surfaces(grid.spacing, grid.origin, *heights)
 
 
 def steady_water(terrain, config, number, beyond=None):
@@ -248,10 +246,8 @@ def ripple_tile(config, weather, water=None):
     depth, chord = WINDOW_DEPTH, WINDOW_CHORD
     if water is not None:
         depth, chord = puddle_depth(water[0]), mean_chord(*water, RIPPLE_DEPTHS[0])
-    return RippleTile(
-        depth=depth, film=config.water.surface_film, chord=chord, rate=weather.mean_rate,
-        dtype=np.float32,
-    )  # fmt: skip
+    film, rate = config.water.surface_film, weather.mean_rate
+    return RippleTile(depth=depth, film=film, chord=chord, rate=rate, dtype=np.float32)
 
 
 def _area(terrain, share):

@@ -141,3 +141,38 @@ def moving_scene(way=BOX_WAY, visible=(True, True), **size):
     # The actor frame is tilted against the box: its box is the upright one's bound there.
     reach = np.abs(own) @ half * 2 / frame.meters_per_unit
     return with_actors(scene, [Actor("box", "parcel", splats, np.stack([centre, reach]), track)])
+
+
+def rolling_scene(**size):
+    """The box of `moving_scene` on four wheels."""
+    from dataclasses import replace
+
+    plain = moving_scene(**size)
+    (actor,) = plain.actors
+    unit = plain.ground_frame.meters_per_unit
+    turn = actor.track.first_seen.rotation.T @ plain.ground_frame.rotation.T
+    at = [(x * BOX_SIZE[0], y * BOX_SIZE[1], 0.0) for x in (0.4, -0.4) for y in (0.4, -0.4)]
+    wheels = np.column_stack([np.array(at) @ turn.T, np.tile([0.05, 0.05], (4, 1))]) / unit
+    return replace(plain, actors=(replace(actor, wheels=wheels),))
+
+
+LAMP = (1.06, -0.16, 0.35)  # m, whose image the first camera sees in the water of the dip
+
+
+def lamp_scene():
+    """`tiny_scene` with a lamp over the ground: clipped at white, and shining."""
+    from dataclasses import replace
+
+    from rainsim.scene.lamps import Lamp, with_lamps
+    from rainsim.scene.splat_sets import joined
+
+    scene = tiny_scene()
+    frame = scene.ground_frame
+    steps = np.linspace(-0.06, 0.06, 5)
+    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    place = np.array(LAMP) + np.insert(grid, 0, 0.0, axis=1)
+    glow = joined([one_splat(p, scale=0.02 / frame.meters_per_unit, color=(1.0, 0.8, 0.5))
+                   for p in frame.to_capture(place)])  # fmt: skip
+    centre = frame.to_capture(np.array([LAMP]))[0]
+    lit, _ = with_lamps(glow, [Lamp("brake", centre, 0.3)])
+    return tuple(replace(scene, splats=joined([scene.splats, part])) for part in (glow, lit))

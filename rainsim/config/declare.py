@@ -19,8 +19,9 @@ UNITS = {  # as people write them: one of it in SI, and its SI unit
     "frames/s": (1.0, "1/s"), "px": (1.0, "px"), "EV": (1.0, "EV"), "": (1.0, ""),
 }  # fmt: skip
 # Parts of what a picture is drawn from, in the order in which they are made: a changed setting
-# makes those out of date that it touches, and a new picture is drawn in any case.
-TERRAIN, WATER, LIGHT, PASSES = ("terrain", "water", "light", "passes")
+# makes those out of date that it touches, and a new picture is drawn in any case: what its passes
+# do again follows from what they read, see `rainsim.render.frame`.
+BASES = TERRAIN, WATER, LIGHT = ("terrain", "water", "light")
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Setting:
     rule: Callable | None = None  # rule(name, value, unit) raises an error, see `rules`
     option: Option | None = None
     changing: bool = False  # whether a keyframe may set it
-    touches: tuple = (TERRAIN, WATER, LIGHT, PASSES)  # made again when it changes
+    touches: tuple = BASES  # made again when it changes
     paper: object = None  # its value in the look of the paper; None: the look leaves it alone
     dropdown: bool = False  # whether the page chooses it beside the light's sliders
     kept_for: str = ""  # where no option, no slider and no built-in preset sets it: who needs it

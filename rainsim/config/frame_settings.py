@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rainsim.config.declare import LIGHT, PASSES, WATER, Group, Option, setting
+from rainsim.config.declare import LIGHT, WATER, Group, Option, setting
 from rainsim.config.rules import positive, whole
 
 MIN_SIDE, MAX_SIDE = 8, 16384  # px
@@ -22,7 +22,7 @@ class FrameConfig(Group):
     fps: float = setting(
         24.0, "fps", "frames/s", "rate of the frames",
         positive("24 is usual", low=0.1, high=9999.0),
-        option=Option("fps"), touches=(WATER, PASSES))
+        option=Option("fps"), touches=(WATER,))
     width: int | None = setting(  # None: the camera's own
         648, "width", "px", "width of the frames", whole(MIN_SIDE, MAX_SIDE),
         option=Option("width", "PX", "648, or as --height asks", "picture"), touches=())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rainsim.config.declare import LIGHT, PASSES, WATER, Group, Key, Option, Slider, setting
+from rainsim.config.declare import LIGHT, WATER, Group, Key, Option, Slider, setting
 from rainsim.config.rules import MM_PER_HOUR, OneOf, finite, not_negative, pair, whole
 from rainsim.errors import ParameterError, require_finite, require_not_negative
 
@@ -76,17 +76,17 @@ class RainConfig(Group):
     gusts: float = setting(
         0.0, "gusts", "", "standard deviation of the wind's speed over its mean, 0 to 0.5",
         not_negative("0.3 is a gusty wind", high=0.5, most="0.5"),  # beyond, the wind turns around
-        slider=Slider("Rain", "gusts", 0, 0.5, 0.05), touches=(WATER, PASSES))
+        slider=Slider("Rain", "gusts", 0, 0.5, 0.05), touches=(WATER,))
     drips: bool = setting(
         True, "drips", "", "whether rain on objects drips from their edges", OneOf(True, False),
-        touches=(WATER, PASSES), kept_for="water that stays on its object (docs/rain.md)")
+        touches=(WATER,), kept_for="water that stays on its object (docs/rain.md)")
     drop_radii: str = setting(
         "measured", "drop_radii", "", "sizes of drops: measured is Marshall and Palmer's "
         "distribution, paper one exponential for all rates",
-        OneOf("measured", "paper"), touches=(WATER, PASSES), paper="paper")
+        OneOf("measured", "paper"), touches=(WATER,), paper="paper")
     seed: int = setting(
         0, "seed", "", "number of the random drops; another number gives other drops",
-        whole(0, MAX_SEED), option=Option("seed"), touches=(WATER, PASSES))
+        whole(0, MAX_SEED), option=Option("seed"), touches=(WATER,))
     # fmt: on
 
     @property

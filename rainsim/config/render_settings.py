@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rainsim.config.declare import LIGHT, PASSES, WATER, Group, Key, Option, Slider, setting
+from rainsim.config.declare import LIGHT, WATER, Group, Key, Option, Slider, setting
 from rainsim.config.rain_settings import TURNS
 from rainsim.config.rules import OneOf, check_sky, finite, not_negative, pair, positive, rounded
 from rainsim.errors import ParameterError, require_finite, shown
@@ -84,7 +84,7 @@ class RenderConfig(Group):
         "elsewhere; traced follows rays through the splats and is slow; paper does as the RainyGS "
         "paper",
         OneOf("auto", "mirror", "ssr", "traced", "paper"), dropdown=True,
-        option=Option("reflections", "NAME"), touches=(PASSES,))
+        option=Option("reflections", "NAME"), touches=())
     relight: str = setting(
         "auto", "relight", "", "auto: shadows and colour of the sun that a capture was taken in go "
         "as clouds cover the sky; off: they stay",
@@ -98,7 +98,7 @@ class RenderConfig(Group):
         "auto", "metering", "", "auto exposes the land as a camera's meter does on a rainy day; "
         "off keeps the capture's exposure",
         OneOf("auto", "off"), dropdown=True, option=Option("metering", "auto|off"),
-        touches=(PASSES,))
+        touches=())
     exposure_bias: float = setting(
         -0.3, "exposure_bias_ev", "EV",
         "added to the meter's choice as far as open ground is wet: a meter takes back what wetting "
@@ -120,7 +120,7 @@ class RenderConfig(Group):
         1.0, "ripples", "", "factor on the height of ripples, 0 to 2; 1 is as measured",
         not_negative("1 is as measured, 0 is calm water", high=2.0),
         option=Option("ripples", "0..2"),
-        slider=Slider("Rain", "ripples", 0, 2, 0.05, after="wetness"), touches=(PASSES,))
+        slider=Slider("Rain", "ripples", 0, 2, 0.05, after="wetness"), touches=())
     ground_albedo: float | None = setting(
         None, "ground_albedo", "",
         "share of the light that the open dry ground reflects, such as 0.3 for clean concrete: it "
@@ -131,7 +131,7 @@ class RenderConfig(Group):
     mirror_size: str = setting(
         "auto", "mirror_size", "",
         "size of mirrored pictures; auto halves them where ripples blur them",
-        OneOf("auto", "full", "half"), touches=(PASSES,),
+        OneOf("auto", "full", "half"), touches=(),
         kept_for="`rainsim bench look` and `rainsim bench frame` compare full mirrors with these")
     film: str = setting(
         "auto", "film", "", "the mirror of wet ground between puddles: auto draws it where it "
@@ -144,22 +144,22 @@ class RenderConfig(Group):
     refraction: str = setting(
         "snell", "refraction", "",
         "snell bends rays to the bed, shift moves the picture as the paper does",
-        OneOf("snell", "shift"), touches=(PASSES,), paper="shift")
+        OneOf("snell", "shift"), touches=(), paper="shift")
     fresnel: str = setting(
         "exact", "fresnel", "",
         "law by which water and all that is wet reflects: exact for a dielectric, or "
         "Schlick's approximation",
-        OneOf("exact", "schlick"), touches=(LIGHT, PASSES), paper="schlick")
+        OneOf("exact", "schlick"), touches=(LIGHT,), paper="schlick")
     highlight: str = setting(
         "cox-munk", "highlight", "", "the sun's glint on water",
-        OneOf("cox-munk", "blinn-phong"), touches=(PASSES,), paper="blinn-phong")
+        OneOf("cox-munk", "blinn-phong"), touches=(), paper="blinn-phong")
     coverage: str = setting(
         "soft", "coverage", "", "soft shares a pixel between water and land, hard chooses one",
-        OneOf("soft", "hard"), touches=(PASSES,), paper="hard")
+        OneOf("soft", "hard"), touches=(), paper="hard")
     water_geometry: str = setting(
         "height-field", "water_geometry", "",
         "what is drawn as water: the height field, or spheres of 6 mm",
-        OneOf("height-field", "spheres"), touches=(PASSES,), paper="spheres")
+        OneOf("height-field", "spheres"), touches=(), paper="spheres")
     streaks: str = setting(
         "shutter", "streaks", "",
         "shutter draws drops over the exposure, paper lines of opaque spheres",
@@ -170,7 +170,7 @@ class RenderConfig(Group):
     spray: str = setting(
         "auto", "spray", "",
         "auto lets tyres of cars that drive throw water, off leaves it on the road",
-        OneOf("auto", "off"), touches=(WATER, PASSES),
+        OneOf("auto", "off"), touches=(WATER,),
         kept_for="cars that leave the water on the road (docs/actors.md)")
     glare: str = setting(
         "off", "glare", "",

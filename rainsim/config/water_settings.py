@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rainsim.config.declare import LIGHT, PASSES, TERRAIN, WATER, Group, Option, Slider, setting
+from rainsim.config.declare import LIGHT, WATER, Group, Option, Slider, setting
 from rainsim.config.rules import OneOf, finite, not_negative, positive
 from rainsim.errors import ParameterError
 
@@ -17,18 +17,18 @@ class TerrainConfig(Group):
     spacing: float | None = setting(
         None, "terrain_spacing_m", "m", "cell size of the height map; without it chosen",
         positive("0.02 is usual", label="terrain spacing", low=1e-3, high=0.5, most="0.5 m"),
-        option=Option("spacing", "M", "about 0.02, chosen"), touches=(TERRAIN,))
+        option=Option("spacing", "M", "about 0.02, chosen"))
     extent: float | None = setting(
         None, "terrain_extent_m", "m", "half the width of the height map; without it chosen",
         positive("leave it out to have it chosen", label="terrain extent", low=1e-3, high=1e5),
-        option=Option("extent", "M", "chosen from the cameras"), touches=(TERRAIN,))
+        option=Option("extent", "M", "chosen from the cameras"))
     ground_map: str = setting(
         "auto", "ground_map", "",
         "whole is one height map for all frames; path, windows of fine cells that follow the "
         "frames' cameras, each with water of its own; auto takes path for several cameras near the "
         "ground that range so far that one map would have cells of more than 2.5 cm",
         OneOf("auto", "whole", "path"),
-        option=Option("ground_map", "auto|whole|path", panel="ground_map"), touches=(TERRAIN,))
+        option=Option("ground_map", "auto|whole|path", panel="ground_map"))
     # fmt: on
 
     def check(self):
@@ -66,7 +66,7 @@ class WaterConfig(Group):
     surface_film: float = setting(
         0.0, "surface_film", "", "dirt on the water that damps ripples, 0 clean to 1 full",
         not_negative("0 is clean, 1 street dirt", label="surface film", high=1.0, most="1"),
-        touches=(WATER, PASSES), kept_for="dirt on the water of a street (docs/rain.md)")
+        touches=(WATER,), kept_for="dirt on the water of a street (docs/rain.md)")
     courant: float | None = setting(
         None, "courant", "", "Courant number of the flow, the share of the largest stable time "
         "step; without it the scheme chooses",

@@ -91,17 +91,39 @@ class Water:
         framed[: field.shape[0], step_control.LEAD : step_control.LEAD + field.shape[1]] = field
         return framed
 
+    def let_through(self, exposure, rows):
+        """Let another share of the rain fall from now on; waits.
+
+        Parameters
+        ----------
+        exposure : ndarray of shape (ny, nx), float32
+        rows : sequence of slice
+            That differ from the share before.
+        """
+        self.account.let_through(exposure)
+        west, wide = step_control.LEAD + PAD, self.cells.width
+        for part in rows:
+            framed = np.zeros((part.stop - part.start, wide), np.float32)
+            framed[:, west : west + self.shape[1]] = exposure[part]
+            begin, end = ((n + PAD) * wide for n in (part.start, part.stop))
+            send(self._maps.exposure[begin:end], framed.reshape(-1), self.stream)
+
+    @property
+    def arrays(self):
+        """The water of all cells, see `flow.step`: fields, remainder, film."""
+        return self._fields, self._remainder, self._film
+
     def deposit(self, rows, columns, volumes):
         """Store the volumes [m3] of drops by rows and columns until the next frame adds them."""
         depth = np.asarray(volumes, np.float64) / (self.cells.area * step_control.UNIT)
-        cells = self._cells(rows, columns)
+        cells = self.places(rows, columns)
         waiting = fetch(self.waiting, self.stream)
         np.add.at(waiting, cells, np.rint(depth).astype(np.int64))
         send(self.waiting, waiting, self.stream)
 
     def withdraw(self, rows, columns, volumes):
         """Drain up to `volumes` [m3] of free water from cells, none of them named twice; waits."""
-        cells, depth = self._cells(rows, columns), np.asarray(volumes) / self.cells.area
+        cells, depth = self.places(rows, columns), np.asarray(volumes) / self.cells.area
         kept = self.account.control, self._fields, self._remainder
         control, fields, remainder = (fetch(array, self.stream) for array in kept)
         state = fetch(self.account.state, self.stream)
@@ -113,7 +135,8 @@ class Water:
         for array, values in zip(kept, (control, fields, remainder), strict=True):
             send(array, values, self.stream)
 
-    def _cells(self, rows, columns):
+    def places(self, rows, columns):
+        """Return the places of cells in `arrays`, ndarray of int64."""
         rows, columns = np.asarray(rows, np.int64), np.asarray(columns, np.int64)
         return self.cells.first + rows * self.cells.width + columns
 

@@ -10,6 +10,8 @@ is counted, and a picture with too many is drawn again with more room.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.cuda.splatting import blend, project
-from rainsim.cuda.splatting.prepared import DeviceSplats
+from rainsim.cuda.splatting.prepared import MOST_NUMBERS, DeviceSplats
 from rainsim.errors import ParameterError, require_choice
 from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import FRUSTUM_MARGIN, NO_PLANE, TILE
@@ -73,61 +75,114 @@ class Workspace:
 
     def __init__(self):
         self.version = new_version()
-        self._lists, self._memory, self._pictures = (), None, ()
-        self._entries = self._bytes = self._pixels = 0
-        self._chunks, self._records = -1, ()
-
-    def records(self, chunks):
-        """Return arrays for the projected splats of so many chunks and for the seen chunks."""
-        if chunks > self._chunks:
-            self._chunks, self._records = chunks, ()
-            self._records = (
-                cuda.device_array(chunks * LANES * project.RECORD, np.float32),
-                cuda.device_array(chunks, np.bool_),
-            )
-            self.version = new_version()
-        return self._records
+        self._arrays, self._room = {}, {}
 
     @property
     def size(self):
         """Bytes that it takes."""
-        arrays = *self._lists, *self._pictures, *self._records
-        return self._bytes + sum(array.nbytes for array in arrays)
+        return sum(array.nbytes for arrays in self._arrays.values() for array in arrays)
+
+    def _take(self, name, count, kinds):
+        """Return arrays with room for `count`, of so many numbers each: `kinds`, (number, type)."""
+        if count > self._room.get(name, -1):
+            self._room[name], self._arrays[name] = count, ()  # freed before more is asked for
+            self._arrays[name] = tuple(cuda.device_array(n * count, kind) for n, kind in kinds)
+            self.version = new_version()
+        return self._arrays[name]
+
+    def records(self, chunks):
+        """Return arrays for the projected splats of so many chunks and for the seen chunks."""
+        kinds = (LANES * project.RECORD, np.float32), (1, np.bool_)
+        return self._take("records", chunks, kinds)
 
     def lists(self, count):
         """Return keys, values and the arrays they are sorted into, each of `count` entries."""
-        if count > self._entries:
-            self._entries, self._lists = count, ()  # freed before more is asked for
-            self._lists = tuple(cuda.device_array(count, np.uint32) for _ in range(4))
-            self.version = new_version()
-        return tuple(array[:count] for array in self._lists)
+        return tuple(array[:count] for array in self._take("lists", count, 4 * [(1, np.uint32)]))
 
     def memory(self, size):
         """Return at least `size` bytes to sort with."""
-        if size > self._bytes:
-            self._bytes, self._memory = size, None
-            self._memory = cuda.device_array(size, np.uint8)
-            self.version = new_version()
-        return self._memory
+        return self._take("memory", size, [(1, np.uint8)])[0]
 
     def pictures(self, pixels):
         """Return the `DeviceLayers` of a picture."""
-        if pixels > self._pixels:
-            self._pixels, self._pictures = pixels, ()
-            self._pictures = tuple(
-                cuda.device_array(n * pixels, np.float32) for n in (3, 1, 1, 1, 3)
-            )
-            self.version = new_version()
-        return DeviceLayers(
-            *(a[: n * pixels] for a, n in zip(self._pictures, (3, 1, 1, 1, 3), strict=True))
-        )
+        channels = 3, 1, 1, 1, 3
+        arrays = self._take("pictures", pixels, [(n, np.float32) for n in channels])
+        return DeviceLayers(*(a[: n * pixels] for a, n in zip(arrays, channels, strict=True)))
 
     def trim(self, count):
         """Give lists and memory back if there is room for more than `count` entries."""
-        if self._entries > count:
-            self._entries = self._bytes = 0
-            self._lists, self._memory = (), None
+        if self._room.get("lists", 0) > count:
+            for name in ("lists", "memory"):
+                self._arrays.pop(name, None)
+                self._room.pop(name, None)
             self.version = new_version()
+
+
+class Taken(NamedTuple):
+    """What a rasterizer has taken of its `Workspace`, of one of its versions."""
+
+    version: int
+    lists: tuple  # keys, values and the arrays they are sorted into
+    record: object  # the projected splats
+    seen: object  # which chunks are seen
+    layers: DeviceLayers
+    sort: object  # sort() queues it
+
+
+class EntryRoom:
+    """How many entries the pictures of a rasterizer have, and for how many there is room.
+
+    Attributes
+    ----------
+    size : int
+        Entries that there is room for.
+    count : pinned ndarray of shape (1,), int32
+        Entries of the finished picture.
+    """
+
+    def __init__(self):
+        self.size, self.count = 0, pinned(1, np.int32)
+        self._highest = self._pictures = 0  # entries, and pictures they were counted in
+        self._patience = 1  # pictures after which too much room is given back
+
+    @property
+    def entries(self):
+        """Number of entries of the finished picture."""
+        return int(self.count[0])
+
+    def overflows(self):
+        """Return whether the finished picture had more entries than there was room for."""
+        return self.entries > self.size
+
+    def is_tight(self):
+        """Return whether the next picture of a moving camera may find too little room."""
+        return self.entries > NEARLY_FULL * self.size
+
+    def count_picture(self):
+        """Count the entries of the finished picture; return whether there was far too much room.
+
+        All of the room is sorted. What most entries of several pictures leave unused is given back:
+        at first after one picture, then each time after twice as many as before.
+        """
+        self._highest, self._pictures = max(self._highest, self.entries), self._pictures + 1
+        if self._pictures < self._patience:
+            return False
+        loose = self.size > MOST_ROOM * (ROOM * self._highest + THREADS)
+        if not loose:
+            self._start_counting()
+        return loose
+
+    def _start_counting(self):
+        self._highest, self._pictures, self._patience = 0, 0, 2 * self._patience
+
+    def hold(self, count):
+        """Choose the room for pictures of so many entries."""
+        self.size = int(ROOM * count) + THREADS
+
+    def fit(self):
+        """Choose the room for as many entries as the counted pictures had."""
+        self.hold(max(self._highest, self.entries))
+        self._start_counting()
 
 
 class Rasterizer:
@@ -145,40 +200,51 @@ class Rasterizer:
         Entries to make room for before anything was counted.
     leading : bool
         Leave out the splats that were prepared to come last.
+    aim : callable, optional
+        aim(now) queues what writes the camera's numbers into a device array, at each launch;
+        without it those that `update` takes over are sent.
 
     Attributes
     ----------
+    room : EntryRoom
     recolors : bool
         Whether `recolor` and `put_actors` send what they take over.
     actors : PreparedSplats or None
         The merged set of `put_actors`.
-    size : device array of shape (2,), float32 [px]
-        Width and height of the picture.
-    lens : device array of shape (4,), float32 [px]
-        Focal lengths and principal point (fx, fy, cx, cy).
     """
 
     def __init__(
-        self, prepared, stream=None, plain=False, workspace=None, first_room=None, leading=False
-    ):
+        self, prepared, stream=None, plain=False, workspace=None, first_room=None, leading=False,
+        aim=None,
+    ):  # fmt: skip
         self.splats = prepared if isinstance(prepared, DeviceSplats) else DeviceSplats(prepared)
         self._take_chunks(leading)
         prepare()
         self.stream = cuda.stream() if stream is None else stream
         self.plain = plain or SIMULATED
         self._camera = FrameUniforms(self.stream, {"now": ((project.CAMERA,), np.float32)})
-        self._numbers, self._now = self._camera.host["now"], self._camera["now"]
-        self.size = self._now[project.NEAR + 1 : project.NEAR + 3]
-        self.lens = self._now[project.LENS : project.PLANE]
-        self._count = pinned(1, np.int32)
+        self._aim = aim
         self._total = cuda.device_array(1, np.int32)
         self._size = self._asked = self._version = None
-        self._capacity, self._first_room = 0, first_room
+        self.room, self._first_room = EntryRoom(), first_room
         self.recolors, self.actors = True, None
-        self._highest = self._pictures = 0  # entries, and pictures they were counted in
-        self._patience = 1  # pictures after which too much room is given back
         self.workspace = Workspace() if workspace is None else workspace
-        self._taken = None  # version of the workspace that the lists are of
+        self._taken = None
+
+    @property
+    def size(self):
+        """Width and height of the picture [px], device array of shape (2,), float32."""
+        return self._camera["now"][project.NEAR + 1 : project.NEAR + 3]
+
+    @property
+    def lens(self):
+        """Focal lengths and principal point (fx, fy, cx, cy) [px], device array, float32."""
+        return self._camera["now"][project.LENS : project.PLANE]
+
+    @property
+    def layers(self):
+        """The pictures, `DeviceLayers`; those of the next one of this stream overwrite them."""
+        return self._taken.layers
 
     def recolor(self, prepared):
         """Take over other colours, unless a `DeviceFrame` sends them when the device is idle."""
@@ -208,30 +274,29 @@ class Rasterizer:
         Raises
         ------
         ParameterError
-            If hits are asked for of more splats than a float32 can number, or `among` is given.
+            If `among` is given.
         """
         if among is not None:
             raise ParameterError(
                 "backend cuda draws all chunks; parts of captures need the CPU; take backend cpu"
             )
-        if hit:
-            self.splats.require_numbers()
         size = camera.height, camera.width
         self.update(camera, near, plane, depth, compensate, degree, drop_last, detail=detail)
         self._take_chunks(leading)
         while True:
             self.launch()
             self.stream.synchronize()
-            if not self.overflows():
+            if not self.grow():
                 break
-            self.make_room()
         layers = self.layers.to_host(*size)
         if hit:
             self.update(camera, near, plane, "median", compensate, degree, drop_last, detail=detail)
-            self.launch(numbered=True)
-            self.stream.synchronize()
-            number = self.layers.depth.copy_to_host().reshape(size)
-            layers = replace(layers, hit=self.splats.of_numbers(number))
+            digits = []
+            for divisor in self.splats.divisors():
+                self.launch(divisor)
+                self.stream.synchronize()
+                digits.append(self.layers.depth.copy_to_host().reshape(size))
+            layers = replace(layers, hit=self.splats.of_digits(digits))
         self._take_chunks(False)
         if np.any(background):
             clear = (1 - layers.alpha)[..., None]
@@ -240,9 +305,7 @@ class Rasterizer:
 
     def _take_chunks(self, leading):
         """Choose the chunks to draw: all, or only the `leading` ones."""
-        s = self.splats
-        chunks = int(s.leading if leading else s.chunks)
-        self._chunks, self._box = chunks, s.box[:chunks]
+        self._chunks = int(self.splats.leading if leading else self.splats.chunks)
 
     def update(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
@@ -259,9 +322,10 @@ class Rasterizer:
             changing size are one recorded queue.
         """
         s, (width, height) = self.splats, room or (camera.width, camera.height)
-        self._take_numbers(camera, near, plane, room, detail)
+        if self._aim is None:
+            self._camera.update(now=self.numbers_of(camera, near, plane, room, detail))
         kind = width, height, camera.orthographic, depth, compensate, degree, drop_last
-        if kind == self._asked and self._taken == self.workspace.version:
+        if kind == self._asked and self._is_taken():
             return
         self._asked = kind
         require_choice("depth", depth, ("expected", "median"))
@@ -269,33 +333,28 @@ class Rasterizer:
         tiles = -(-width // TILE) * -(-height // TILE)
         compensate = bool(compensate or s.compensate)
         self._kind = bool(camera.orthographic), compensate, depth == "median", bool(drop_last)
-        self._levels = _levels(width, height)
         if self._size != (width, height):
             self._size = width, height
             self._range = cuda.device_array(2 * tiles, np.int32)
             self._taken, self._version = None, new_version()
-        if self._capacity == 0:
+        if self.room.size == 0:
             first = FIRST_ROOM * s.count if self._first_room is None else self._first_room
-            self._room_for_entries(first + tiles)
-        self.take()
+            self.room.hold(first + tiles)
+            self._taken = None
+        self._take()
 
-    def take(self):
+    def _is_taken(self):
+        return self._taken is not None and self._taken.version == self.workspace.version
+
+    def _take(self):
         """Take the workspace's present lists and pictures, unless they are taken already."""
-        if self._taken == self.workspace.version:
+        if self._is_taken():
             return
-        self._key, self._value, self._key_sorted, self._value_sorted = self.workspace.lists(
-            self._capacity
-        )
-        self.layers = self.workspace.pictures(self._size[0] * self._size[1])
-        self._record, self._seen = self.workspace.records(self.splats.chunks)
-        self._sorter = None if SIMULATED else _Sorter(
-            self._key, self._value, self._key_sorted, self._value_sorted, self.stream,
-            self.workspace,
-        )  # fmt: skip
-        self._taken = self.workspace.version
-
-    def _take_numbers(self, *view):
-        self._numbers[:] = self.numbers_of(*view)
+        space, (width, height) = self.workspace, self._size
+        lists, layers = space.lists(self.room.size), space.pictures(width * height)
+        records = space.records(self.splats.chunks)
+        sort = partial(_sort_on_host, *lists) if SIMULATED else _Sorter(*lists, self.stream, space)
+        self._taken = Taken(space.version, lists, *records, layers, sort)
 
     def numbers_of(self, camera, near, plane=None, room=None, detail=0.0):
         """Return the numbers that the kernels read of a camera, float64; see `project`."""
@@ -319,26 +378,27 @@ class Rasterizer:
         )  # fmt: skip
         return numbers
 
-    def _bring_numbers(self):
-        self._camera.send()
-
-    def launch(self, numbered=False):
+    def launch(self, divisor=None):
         """Queue the picture: copies and kernels only, so that a graph can record it.
 
-        If it is `numbered`, depths are numbers of splats, see `project.number_records`.
+        With a `divisor` depths are digits of the splats' numbers, see `project.number_records`.
         """
-        self.take()
-        s, stream, chunks = self.splats, self.stream, self._chunks
-        record, seen = self._record, self._seen[:chunks]
+        self._take()
+        s, stream, chunks, taken = self.splats, self.stream, self._chunks, self._taken
+        record, seen = taken.record, taken.seen[:chunks]
         width, height = self._size
         flat, compensate, median, drop = self._kind
         across = -(-width // TILE)
-        now, key, value = self._now, self._key, self._value
-        self._bring_numbers()
-        blocks = max(1, min(-(-max(len(self._key), chunks) // THREADS), 2048))
+        now, (key, value, key_sorted, value_sorted) = self._camera["now"], taken.lists
+        levels = _levels(width, height)
+        if self._aim is None:
+            self._camera.send()
+        else:
+            self._aim(now)
+        blocks = max(1, min(-(-max(len(key), chunks) // THREADS), 2048))
         blocks = max(blocks, -(-chunks // THREADS))
         project.start[blocks, THREADS, stream](
-            self._box, s.span, s.around, now[: project.EYE].reshape(3, 4),
+            s.box[:chunks], s.span, s.around, now[: project.EYE].reshape(3, 4),
             now[project.LENS : project.PLANE], self.size, now[project.NEAR : project.LIMITS],
             now[project.PLANE : project.NEAR], flat, seen, key, self._range, self._total,
         )  # fmt: skip
@@ -346,18 +406,21 @@ class Rasterizer:
             lister = project.list_kernel(self.plain)
             lister[chunks, THREADS, stream](
                 s.geometry, s.sh, seen, now, flat, compensate, self._bands, s.groups, across,
-                self._levels, record, key, value, self._total,
+                levels, record, key, value, self._total,
             )  # fmt: skip
-        key, value = self._sort(key, value)
+        taken.sort()
+        key, value = key_sorted, value_sorted
         tiles = len(self._range) // 2
         begin, end = self._range[:tiles], self._range[tiles:]
         project.find_ranges[-(-len(key) // THREADS), THREADS, stream](
-            self._total, self._levels, key, value, record, begin, end
+            self._total, levels, key, value, record, begin, end
         )
-        if numbered:
+        if divisor is not None:
             places = self.splats.chunks * LANES
-            project.number_records[-(-places // THREADS), THREADS, stream](places, record)
-        out = self.layers
+            project.number_records[-(-places // THREADS), THREADS, stream](
+                places, divisor, MOST_NUMBERS, record
+            )
+        out = taken.layers
         pictures = out.color, out.alpha, out.depth, out.plane_depth, out.normal
         if self.plain:
             blend.blend_pixel_by_pixel[
@@ -369,68 +432,46 @@ class Rasterizer:
                 value, begin, end, record, now, width, height, flat, across,
                 np.float32(1 / across), *pictures,
             )  # fmt: skip
-        self._total.copy_to_host(self._count, stream=stream)
+        self._total.copy_to_host(self.room.count, stream=stream)
 
-    def overflows(self):
-        """Return whether the finished picture had more entries than there was room for."""
-        return self.entries > self._capacity
+    def grow(self):
+        """Make room if the finished picture had too little; return whether it had."""
+        lacking = self.room.overflows()
+        if lacking:
+            self._make_room()
+        return lacking
 
-    def is_tight(self):
-        """Return whether the next picture of a moving camera may find too little room."""
-        return self.entries > NEARLY_FULL * self._capacity
+    def make_ahead(self):
+        """Make room where little is left, and free what pictures in turn have left unused."""
+        if self.room.count_picture() or self.room.is_tight():
+            self._make_room()
 
-    def count_picture(self):
-        """Count the entries of the finished picture; return whether there was far too much room.
+    def is_amiss(self):
+        """Count the finished picture; return whether it had too little room or far too much."""
+        return self.room.count_picture() or self.room.overflows() or self.room.is_tight()
 
-        All of the room is sorted. What most entries of several pictures leave unused is given back:
-        at first after one picture, then each time after twice as many as before.
-        """
-        self._highest, self._pictures = max(self._highest, self.entries), self._pictures + 1
-        if self._pictures < self._patience:
-            return False
-        loose = self._capacity > MOST_ROOM * (ROOM * self._highest + THREADS)
-        if not loose:
-            self._start_counting()
-        return loose
-
-    def _start_counting(self):
-        self._highest, self._pictures, self._patience = 0, 0, 2 * self._patience
-
-    def make_room(self):
+    def _make_room(self):
         """Make room for as many entries as the counted pictures had, and some more."""
-        before = self._capacity
-        self._room_for_entries(max(self._highest, self.entries))
-        self._start_counting()
-        if self._capacity < before:
-            self.workspace.trim(self._capacity)
-            self.take()
+        before = self.room.size
+        self.room.fit()
+        self._taken = None
+        self._take()
+        if self.room.size < before:
+            self.workspace.trim(self.room.size)
+            self._take()
 
     @property
     def queue(self):
         """The values a recorded queue of launches depends on: when they change, record again."""
-        kind = self._kind, self._bands, self._capacity
+        kind = self._kind, self._bands, self.room.size
         return self._version, *kind, self.workspace.version
 
-    @property
-    def entries(self):
-        """Number of entries of the finished picture."""
-        return int(self._count[0])
 
-    def _room_for_entries(self, count):
-        self._capacity, self._taken = int(ROOM * count) + THREADS, None
-        if self._size is not None:
-            self.take()
-
-    def _sort(self, key, value):
-        """Queue the sort of all entries by key; return the sorted arrays."""
-        if self._sorter is not None:
-            self._sorter()
-        else:  # the simulator has no such library
-            keys, values = key.copy_to_host(), value.copy_to_host()
-            order = np.argsort(keys, kind="stable")
-            self._key_sorted.copy_to_device(keys[order])
-            self._value_sorted.copy_to_device(values[order])
-        return self._key_sorted, self._value_sorted
+def _sort_on_host(key, value, key_out, value_out):
+    """Sort as `_Sorter` does, in the simulator, which has no such library."""
+    order = np.argsort(key.copy_to_host(), kind="stable")
+    for array, array_out in ((key, key_out), (value, value_out)):
+        array_out.copy_to_device(array.copy_to_host()[order])
 
 
 class _Sorter:

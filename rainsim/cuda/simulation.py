@@ -14,6 +14,7 @@ since depth and rings have two pages, the device can take a step while it draws 
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -29,9 +30,10 @@ from rainsim.cuda.rain.impact_history import RecentImpacts
 from rainsim.cuda.rain.settling import VOLUME_UNIT
 from rainsim.cuda.water.ripples import Ripples
 from rainsim.cuda.water.step_control import LEFT
+from rainsim.cuda.water.tyres import NOTHING_THROWN, Traffic
 from rainsim.drops import Weather
 from rainsim.errors import DivergedError
-from rainsim.io.states import NO_DRIPS, NO_IDS, NO_THROWS, NO_TRACKS
+from rainsim.io.states import NO_DRIPS, NO_IDS
 from rainsim.rain.exposure import rain_exposure
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.water.keyframed import moved_water
@@ -46,7 +48,9 @@ class DeviceState:
     Attributes
     ----------
     index : int
-        Of the frame.
+        Of the frame that shows it.
+    step : int
+        Of the simulation.
     time : float [s]
     simulation : Simulation
         Whose arrays the properties read.
@@ -58,16 +62,20 @@ class DeviceState:
         up the drops that fell on the device, and differs from it by their chance.
     """
 
-    # No tyres roll through water that is on the device.
-    tracks, throws, throw_id = NO_TRACKS, NO_THROWS, NO_IDS
-
     def __init__(self, index, time, simulation, notes=()):
-        self.index, self.time, self.simulation, self.notes = index, time, simulation, notes
+        self.index = self.step = index
+        self.time, self.simulation, self.notes = time, simulation, notes
         self.tile_size, self.page = simulation.ripples.tile.size, index % 2
         self.top_water = simulation.top_water()
 
+    def shown_by(self, index):
+        """Return this state as the one that the frame `index` shows."""
+        shown = copy.copy(self)
+        shown.index = index
+        return shown
+
     def _there(self):
-        self.simulation.begin(self.index)
+        self.simulation.begin(self.step)
         return self.simulation
 
     @property
@@ -82,6 +90,21 @@ class DeviceState:
         See `reflection.slope_moments`.
         """
         return self._there().ripples.pages[self.page]
+
+    @property
+    def tracks(self):
+        """How full the film is where tyres have passed, as `SimState` has it; waits."""
+        return self.simulation.thrown(self.step)["tracks"]
+
+    @property
+    def throws(self):
+        """What tyres have thrown, as `SimState` has it; waits."""
+        return self.simulation.thrown(self.step)["throws"]
+
+    @property
+    def throw_id(self):
+        """The ids of `throws`."""
+        return self.simulation.thrown(self.step)["throw_id"]
 
     @property
     def drip_list(self):
@@ -106,7 +129,7 @@ class DeviceState:
     @property
     def ledger(self):
         """Volumes in m3, see `rainsim.ledger`; waits for the device."""
-        return self._there().ledger(self.index)
+        return self._there().ledger(self.step)
 
 
 class Simulation:
@@ -117,6 +140,12 @@ class Simulation:
     terrain : Terrain
     config : Config
         Water of scheme "auto" is computed by "lean" here.
+
+    Attributes
+    ----------
+    is_shown : bool
+        Whether a frame of the last step may still have to be drawn again; `advance` begins no step
+        meanwhile.
     """
 
     @one_fault()
@@ -124,9 +153,10 @@ class Simulation:
         asked = config.water.scheme
         if asked == "auto":
             config = replace(config, water=replace(config.water, scheme="lean"))
-        self.config, self.weather, self.stream = config, Weather(config), cuda.stream()
+        self.config, self.weather, stream = config, Weather(config), cuda.stream()
         surfaces = host.surfaces_of(terrain)
-        exposure = rain_exposure(terrain, host.usual_wind(config), config.rain.roughness)
+        wind = host.usual_wind(config), config.rain.roughness
+        exposure = rain_exposure(terrain, *wind)
         start, interval = config.at(0.0), 1 / config.fps
         depth, notes = host.initial_water(terrain, start, exposure)
         self._by_keyframes = moved_water(terrain, config, exposure)
@@ -135,13 +165,15 @@ class Simulation:
         why = "auto: the scheme of a CUDA device" if asked == "auto" else solver.reason
         self.notes = (*notes, f"water: scheme {solver.scheme} ({why})")
         tile = host.ripple_tile(config, self.weather, (depth, terrain.grid.spacing))
-        open_area = float(exposure.sum()) * terrain.grid.cell_area
-        share = tile.size**2 / open_area / LAYERS if open_area > 0 else 0.0
         self._objects = host.Objects(surfaces, start, *host.tops_of(terrain, config, start))
         host.warm_up(tile, self._objects, self.weather)
         self._objects.open_account()
-        self.water = Water(solver, exposure, stream=self.stream)
-        self.ripples = Ripples(tile, interval, cuda.stream(), share)
+        self._traffic = None
+        if terrain.footprints:
+            self._traffic = Traffic(terrain, config, wind, exposure)
+            self._traffic.tyres.start(solver, self.weather)
+        self.water = Water(solver, exposure, stream=stream)
+        self.ripples = Ripples(tile, interval, cuda.stream(), self._ringing(tile.size, exposure))
         send(self.ripples.moments, ripple_moments(tile.slopes()))
         self.impacts = self.drips = None
         if self.weather.rains:
@@ -151,12 +183,20 @@ class Simulation:
             rate = self.weather.field(0.0, interval).listed.rate
             self.drips = Drips(
                 self._objects.drips, self.impacts, rate, interval, config.rain.roughness,
-                self.stream,
+                stream,
             )  # fmt: skip
+        if self._traffic is not None:
+            self._traffic.roll_over(self.water, self.impacts)
         self._ready, self._drawn = Event(), (Event(), Event())  # a step; what draws either page
         self._steps, self._accounts = [None, None], [None, None]
         self._index = self._begun = self._complete = self._late = -1
         self._fallen = 0.0  # m of rain since the start
+        self.is_shown = False
+
+    def _ringing(self, size, exposure):
+        """Return the share of the drops on a map's ground that ring on a tile of a size [m]."""
+        area = float(exposure.sum()) * self.water.cells.area
+        return size**2 / area / LAYERS if area > 0 else 0.0
 
     def top_water(self):
         """Return the water on each top [m3] (n,) at the time of the last state."""
@@ -165,42 +205,63 @@ class Simulation:
     @one_fault()
     def advance(self):
         """Go on to the next frame and return its `DeviceState`; see `begin`."""
-        self.begin(self._index)
+        if not self.is_shown:
+            self.begin(self._index)
         self._index += 1
         index, time = self._index, self._index / self.config.fps
         if index > 0:
             middle = time - 0.5 / self.config.fps
             self._fallen += mm_per_hour(self.weather.rate(middle)) / self.config.fps
-            self._bring(*self._interval(index))
-        if self.impacts is not None:
-            self.impacts.update(index)
         return DeviceState(index, time, self, self.notes if index == 0 else ())
+
+    def follows(self, index):
+        """Return whether a step is at most one after the last that has begun.
+
+        Steps beyond overwrite the arrays of the state that is shown.
+        """
+        return index <= self._begun + 1
 
     def _interval(self, index):
         return (index - 1) / self.config.fps, index / self.config.fps
 
     def begin(self, index):
-        """Queue the step of that number, if it is the one that `advance` has said last."""
-        if index <= self._begun:
-            return
+        """Queue the steps up to that number, none beyond the one that `advance` has said last."""
+        for step in range(self._begun + 1, index + 1):
+            self._begin(step)
+
+    def _begin(self, index):
+        if index > 0 and self._traffic is not None:
+            self.complete()
+            tile = self.ripples.tile
+            share = self._ringing(tile.size, self._traffic.thin_rain())
+            self.ripples.tile = tile._replace(share=share)
+        if index > 0:
+            self._bring(*self._interval(index))
+        if self.impacts is not None:
+            self.impacts.update(index)
         self.complete()
-        page, self._begun = index % 2, index
+        page, stream, self._begun = index % 2, self.water.stream, index
         self.water.page = page
         self.ripples.turn_page(page)
         if index > 0:
             self._by_keyframes(self.water, self._objects, *self._interval(index))
             if self.impacts is not None:
-                self.impacts.listed.wait(self.stream)
-            self._drawn[page].wait(self.stream)
-            if index == 1:
+                self.impacts.listed.wait(stream)
+            self._drawn[page].wait(stream)
+            if index == 1 or self._traffic is not None:
                 self.launch()  # compiles; that was the step itself
             else:
                 if self._steps[page] is None:
-                    self._steps[page] = Graph(self.stream, self.launch)
+                    self._steps[page] = Graph(stream, self.launch)
                 self._steps[page].launch()
-        self._ready.record(self.stream)
-        if self.impacts is not None:
-            self.impacts.list_beside()
+        self._ready.record(stream)
+        if self.impacts is None:
+            return
+        if self._traffic is not None:
+            self.impacts.listed.synchronize()
+            before, after = self._interval(index + 1)
+            self._traffic.cover(0.5 * (before + after))
+        self.impacts.list_beside()
 
     def complete(self):
         """Wait for the step that has begun, and let it go on if it was not at its end.
@@ -221,7 +282,7 @@ class Simulation:
             while account.seen[LEFT] > 0.0:
                 self.water.go_on()
                 account.copy()
-                self.stream.synchronize()
+                self.water.stream.synchronize()
                 self._late = index
             if not np.isfinite(account.seen).all():
                 raise DivergedError(
@@ -231,7 +292,20 @@ class Simulation:
             control = account.seen.copy()
         fallen = 0 if self.impacts is None else int(self.impacts.fallen[0])
         drips = None if self.drips is None else self.drips.account.copy()
-        self._accounts[index % 2] = control, fallen, drips, self._objects.inflow
+        tyres = None
+        if self._traffic is not None:
+            self._traffic.look(index % 2, index / self.config.fps)
+            tyres = copy.copy(self._traffic.tyres)
+        self._accounts[index % 2] = control, fallen, drips, self._objects.inflow, tyres
+
+    def thrown(self, index):
+        """Return throws, their ids and tracks of a step, at the earliest the last but one."""
+        if self._traffic is None:
+            return NOTHING_THROWN
+        self.begin(index)
+        if index == self._begun:
+            self.complete()
+        return self._traffic.thrown[index % 2]
 
     def _bring(self, before, time):
         """Set the rain that falls between two times."""
@@ -243,18 +317,24 @@ class Simulation:
             self.drips.update(before, time, wind, finer * (time - before))
 
     def launch(self):
-        """Queue a step, rings beside the flow; nothing here waits, allocates or reads results."""
-        land = self.water, self.ripples, self.stream
+        """Queue a step, rings beside the flow.
+
+        Nothing here waits, allocates or reads results, unless tyres roll.
+        """
+        stream = self.water.stream
+        land = self.water, self.ripples, stream
         if self.drips is not None:
             page = self.water.page
             self.impacts.settle(*land, (self.drips.point, self.drips.came[page]))
             self.drips.launch(page, *land)
         elif self.impacts is not None:
             self.impacts.settle(*land)
-        self.ripples.fork(self.stream)
+        if self._traffic is not None:
+            self._traffic.roll(*self._interval(self._begun), self.weather)
+        self.ripples.fork(stream)
         self.water.launch()
         self.water.account.copy()
-        self.ripples.join(self.stream)
+        self.ripples.join(stream)
 
     def before(self, stream, falls=True):
         """Let another stream wait for the step that has begun and, if it `falls`, the impacts."""
@@ -291,7 +371,7 @@ class Simulation:
         """
         if index == self._begun:
             self.complete()
-        control, fallen, drips, inflow = self._accounts[index % 2]
+        control, fallen, drips, inflow, tyres = self._accounts[index % 2]
         came = fallen * VOLUME_UNIT
         returned, held, airborne = 0.0, came + self._objects.initial, 0.0
         if drips is not None:
@@ -299,17 +379,14 @@ class Simulation:
             came += fine
         ledger = self.water.account.ledger(control)
         own = came, returned, held, airborne, inflow
-        return self._objects.with_objects(ledger, *own).as_dict()
+        ledger = self._objects.with_objects(ledger, *own)
+        if tyres is not None:
+            ledger = tyres.book(ledger, index / self.config.fps)
+        return ledger.as_dict()
 
 
 def simulate(terrain, config):
-    """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end.
-
-    Where actors move over the terrain the CPU simulates: its `SimState` is yielded.
-    """
-    if terrain.footprints:
-        yield from host.simulate(terrain, config)
-        return
+    """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end."""
     run = Simulation(terrain, config)
     while True:
         state = run.advance()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -81,6 +81,10 @@ class SimState:
     throws: np.ndarray = field(default_factory=NO_THROWS.copy)
     throw_id: np.ndarray = field(default_factory=NO_IDS.copy)
     tracks: np.ndarray = field(default_factory=NO_TRACKS.copy)
+
+    def shown_by(self, index):
+        """Return this state as the one that the frame `index` shows."""
+        return replace(self, index=index)
 
 
 VERSION = 1

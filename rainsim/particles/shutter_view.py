@@ -19,6 +19,8 @@ _NEAR = np.float32(NEAR)
 class ShutterView(NamedTuple):
     """A perspective camera when its shutter opens and closes, in the ground frame.
 
+    On a device `time` and `exposure` are arrays of shape (1,), as a `View` has its numbers.
+
     Attributes
     ----------
     time, exposure : float [s]

@@ -12,6 +12,7 @@ import numpy as np
 
 from rainsim.actors.footprint import with_footprints
 from rainsim.drops import Weather
+from rainsim.io.states import NO_TRACKS
 from rainsim.particles import drop_radiance
 from rainsim.particles.splash import LONGEST_LIFE
 from rainsim.rain.moving_surfaces import MovingSurfaces
@@ -19,7 +20,7 @@ from rainsim.raster import Rasterizer
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.water_pass import WaterTables
 from rainsim.reflection.water_shading import SHELTERED_SHARE
-from rainsim.render.frame import PASSES, Frame
+from rainsim.render.frame import PASSES, Frame, Pass
 from rainsim.render.layers import LAYER_PASSES
 from rainsim.render.wet_ground import WetGround
 from rainsim.render.wet_scene import WetScene
@@ -35,6 +36,12 @@ from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import tops_drawn, usual_wind
 from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings, taller_rings
 
+# What is chosen before the first frame, and again when settings that it reads have changed.
+SET_UP = (
+    Pass("tables", "", ("terrain", "rings", "wind"), ("laid",)),
+    Pass("meter", "", ("metering", "film"), ("metered",)),
+    Pass("choose film", "", ("film",), ("chosen",)),
+)
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
 
 
@@ -71,16 +78,10 @@ class Conductor:
 
     Parameters
     ----------
-    scene : Scene
-    terrain : Terrain
-    config : Config
-    first_camera : Camera
-        In the capture frame; the surroundings are drawn from its place, and a capture without
-        cameras is metered by it, see `fixed_camera`.
+    scene, terrain, config, first_camera
+        As `rainsim.render.renderer.Renderer` takes them.
     rasterizer_of : callable
         rasterizer_of(prepared) returns what draws prepared splats.
-    wet_scene : WetScene, optional
-        Of another conductor, whose settings differ in nothing that a `WetScene` depends on.
 
     Attributes
     ----------
@@ -102,28 +103,20 @@ class Conductor:
         That no report has held yet.
     """
 
-    def __init__(
-        self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer, wet_scene=None
-    ):
-        self.frame = Frame((*PASSES, *LAYER_PASSES))
+    def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
+        self.frame, self._set_up = Frame((*PASSES, *LAYER_PASSES)), Frame(SET_UP)
         terrain = with_footprints(tops_drawn(terrain, config), scene)
-        self.config, self.methods = config, config.render
-        first_camera = fixed_camera(scene, terrain, config) or first_camera
-        if wet_scene is None:
-            wet_scene = WetScene(scene, terrain, config, first_camera, rasterizer_of)
-        self.wet_scene = wet_scene
-        wet_scene.move_actors(None)  # the light of a run depends on no frame
-        self.weather = Weather(config)
-        self._ring_reach = ring_reach(RING_DEPTH, config.water.surface_film, self.weather.mean_rate)
-        film = WetGroundMirror(terrain, config.render)
-        self.ground = self._tables(terrain, wet_scene.ground.reach, film)
-        self._sun, note = sky.sun_of(config.render.sun, wet_scene.sky.day)
-        self.notes = [*wet_scene.notes, *([note] if note else [])]
-        self._air = environment.horizon_radiance(wet_scene.sky.day)
-        self._everywhere = drop_radiance.mean_radiance(wet_scene.sky.gloss)
+        self._first_camera = fixed_camera(scene, terrain, config) or first_camera
+        self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
+        light = self.wet_scene.sky
+        self._sun, note = sky.sun_of(config.render.sun, light.day)
+        self.notes = [*self.wet_scene.notes, *([note] if note else [])]
+        self._air = environment.horizon_radiance(light.day)
+        self._everywhere = drop_radiance.mean_radiance(light.gloss)
         self.now, self.brightness = config.at(0.0), 1.0
-        self._metered = self._meter(first_camera)
-        self._choose_film(first_camera)
+        film = WetGroundMirror(terrain, config.render)
+        self.ground = GroundTables(terrain, None, None, None, film)
+        self.take_settings(config)
         self.camera = self.ground_camera = self.view = None
 
     # ---- a frame
@@ -199,24 +192,38 @@ class Conductor:
     def set_time(self, time):
         """Take over the settings and the places of what moves of a time [s]."""
         self.now = self.config.at(time)
-        self.brightness = self.now.render.brightness * math.exp(np.interp(time, *self._metered))
-        self.brightness *= 2 ** exposure_bias(self.now)
+        metered = math.exp(np.interp(time, *self._set_up["metered"]))
+        self.brightness = self.now.render.brightness * metered * 2 ** exposure_bias(self.now)
         self.wet_scene.set_time(self.now)
         self.wet_scene.move_actors(time)
 
     def take_settings(self, config):
         """Draw with other settings from now on, but with the light that was set up for the first.
 
-        Exact for what is read for each frame: brightness, exposure, streaks, splashes and the lens;
-        else an approximation, until a renderer with these settings is made.
+        Exact but for settings that touch ground, water or light, see `config.declare.Setting`:
+        until a renderer with those is made, pictures are an approximation.
         """
         self.config, self.weather = config, Weather(config)
+        self.take_methods(config.render)
+        put, rain, render = self._set_up.put, self.weather.mean_rate, config.render
+        put("terrain", self.ground.terrain)
+        put("rings", (config.water.surface_film, rain, render.ripples))
+        put("wind", (usual_wind(config), config.rain.roughness))
+        put("metering", tuple(config.at(time).render.metering for time in config.key_times()))
+        put("film", (render.film, self.ground.film.apart))
+        self._set_up.make(("laid", "metered", "chosen"), {
+            "tables": self._lay_tables, "meter": self._meter, "choose film": self._choose_film,
+        })  # fmt: skip
 
     def take_methods(self, render):
         """Draw water and film by the methods that a RenderConfig names, from now on."""
         self.methods = self.ground.film.config = render
 
     # ---- parts of the ground
+
+    def _lay_tables(self, terrain, rings, _wind):
+        self._ring_reach = ring_reach(RING_DEPTH, *rings[:2])
+        self.ground = self._tables(terrain, self.wet_scene.ground.reach, self.ground.film)
 
     def _tables(self, terrain, reach, film):
         config = self.config
@@ -230,6 +237,7 @@ class Conductor:
         film = self.ground.film.over(None)
         self.ground = GroundTables(None, None, None, None, film)
         self.camera, self.frame = None, Frame((*PASSES, *LAYER_PASSES))
+        self._set_up.put("terrain", None)
         self.wet_scene.leave_ground()
 
     def ready_ground(self, terrain, reach, now):
@@ -260,11 +268,17 @@ class Conductor:
 
     # ---- choices before the first frame
 
-    def _meter(self, first_camera):
+    def _views(self):
+        """Return the cameras of views by which the light of a run is chosen; no frame decides."""
+        self.wet_scene.move_actors(None)
+        self.wet_scene.take_tracks(NO_TRACKS)
+        return metering_views(self.wet_scene.scene.cameras, self._first_camera)
+
+    def _meter(self, _metering, _film):
         """Return the key times and the logarithms of the factors that a camera's meter chooses."""
         times = self.config.key_times()
         factors = np.ones(len(times))
-        views = metering_views(self.wet_scene.scene.cameras, first_camera)
+        views = self._views()
         for k, time in enumerate(times):
             now = self.config.at(time).replace(wetness=1.0)  # else it would take that back
             if now.render.metering == "auto":
@@ -279,17 +293,18 @@ class Conductor:
             self.notes.append(f"exposure: the meter takes the light {factors[0]:.2f} times{about}")
         return times, np.log(factors)
 
-    def _choose_film(self, first_camera):
+    def _choose_film(self, _film):
         """Let `auto` choose the reflections of wet ground, by the capture's views at all key times.
 
-        No frame decides, so all frames of a run agree on it, whichever of them are drawn here.
+        All frames of a run agree on it, whichever of them are drawn here.
         """
         film = self.ground.film
+        film.drawn = self.config.render.film == "mirror"
         if not (film.apart and self.config.render.film == "auto"):
             return
 
         def shares():
-            views = metering_views(self.wet_scene.scene.cameras, first_camera)
+            views = self._views()
             for time in self.config.key_times():
                 self.wet_scene.set_time(self.config.at(time))
                 for _, wet, cover in self.wet_scene.small_views(views, True):

@@ -50,7 +50,7 @@ class DrawnCapture:
     Attributes
     ----------
     splats, prepared : Splats and PreparedSplats
-        Those of `scene` in the present light; of a big capture without actors only `splats`.
+        Those of the scene in the present light; of a big capture without actors only `splats`.
     merge : float [px]
         Side of the cells in which frames and mirrored pictures do merge splats.
     near : float [capture units]
@@ -67,7 +67,7 @@ class DrawnCapture:
         self, backdrop, scene, present, colors, badly_placed, merge, terrain, paged, rasterizer_of,
         normals=None,
     ):  # fmt: skip
-        self.scene, self.frame, self._whole = scene, scene.ground_frame, backdrop.whole
+        self.frame, self._whole = scene.ground_frame, backdrop.whole
         self.near = NEAR / self.frame.meters_per_unit
         self._present, self._colors, self._terrain = present, colors, terrain
         self.badly_placed, self.paged, self._rasterizer_of = badly_placed, paged, rasterizer_of
@@ -155,14 +155,6 @@ class DrawnCapture:
     def layers(self, camera, **options):
         """Return the `raster.Layers` that a camera of the capture frame takes."""
         return self.rasterizer.draw(camera, self.near, detail=self.merge, **options)
-
-    def dry(self, camera, whole_color=False):
-        """Return the `raster.Layers` that a camera of the capture frame takes.
-
-        `whole_color`: the colour is that of all splats as captured, those of the sky included.
-        """
-        layers = self.layers(camera)
-        return replace(layers, color=self.captured_color(camera, layers)) if whole_color else layers
 
     def captured_color(self, camera, layers):
         """Return the colour of all splats as captured, or that of `layers` where it is the same."""

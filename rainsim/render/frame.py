@@ -259,12 +259,6 @@ def reads_of(passes, launched):
     return found
 
 
-def inputs_of(names, passes=PASSES):
-    """Return the inputs on which buffers depend, a set of str."""
-    read = {name for each in passes_to(names, passes) for name in each.reads}
-    return (read | set(names)) - {name for each in passes for name in each.writes}
-
-
 def is_same(value, other):
     """Tell whether two inputs are equal: by identity, numbers and arrays by what they hold."""
     if value is other:

@@ -58,7 +58,7 @@ class PagedScene:
         render, rasterizer_of,
     ):  # fmt: skip
         scene = backdrop.scene
-        self._scene, self._backdrop, self._sky_distance = scene, backdrop, sky_distance
+        self._scene, self._sky_distance = scene, sky_distance
         self._terrain, self._gain, self._diffuse = terrain, gain, diffuse
         self._bad, self._leave_out = badly_placed, leave_out
         self._cells = None if diffuse is None else level_cells(terrain, reach, lawn)

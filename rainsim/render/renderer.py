@@ -6,7 +6,6 @@ read, `rainsim.render.passes` computes them.
 
 from __future__ import annotations
 
-from rainsim.raster import Rasterizer
 from rainsim.reflection.water_pass import WetPicture, choice_of
 from rainsim.render.conductor import Conductor
 from rainsim.render.layers import facts_of
@@ -28,10 +27,6 @@ class Renderer:
     first_camera : Camera
         In the capture frame; the surroundings are drawn from its place, and a capture without
         cameras is metered by it, see `fixed_camera`.
-    rasterizer_of : callable
-        rasterizer_of(prepared) returns what draws prepared splats.
-    wet_scene : WetScene, optional
-        Of another renderer, whose settings differ in nothing that a `WetScene` depends on.
 
     Attributes
     ----------
@@ -48,10 +43,8 @@ class Renderer:
     ((48, 64, 3), (48, 64))
     """
 
-    def __init__(
-        self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer, wet_scene=None
-    ):
-        self.conductor = Conductor(scene, terrain, config, first_camera, rasterizer_of, wet_scene)
+    def __init__(self, scene, terrain, config, first_camera):
+        self.conductor = Conductor(scene, terrain, config, first_camera)
         self.passes = Passes()
         self._choice_is_noted = False  # of the reflections
 

@@ -50,14 +50,8 @@ class WetScene:
 
     Parameters
     ----------
-    scene : Scene
-    terrain : Terrain
-    config : Config
-    first_camera : Camera
-        In the capture frame; the surroundings are drawn from its place unless the settings name
-        one.
-    rasterizer_of : callable
-        rasterizer_of(prepared) returns what draws prepared splats.
+    scene, terrain, config, first_camera, rasterizer_of
+        As `rainsim.render.conductor.Conductor` takes them.
 
     Attributes
     ----------

@@ -12,6 +12,7 @@ THRESHOLD = 0.005  # of the search radius: 1 cm for a capture that is walked in 
 ROUGHER = (0.015, 0.04)  # thresholds for lawns and meadows, once nothing flat was found
 ABOVE_SHARE = 0.95  # of the viewpoints must stand above the ground; a few may be badly placed
 LOWER_SHARE = 0.3  # of the best plane's score is what a lower one needs to be preferred
+ROUNDS = 30  # of a refinement, at most
 RIVAL_ANGLE = np.radians(3.0)  # planes that lean more apart are two; a street's camber has 2.9
 RIVAL_SHARE = 0.65  # of the best plane's score from which another is as good
 # A plane is a roof or a ramp and not the ground if more than ABOVE_MOST of its weight lies above
@@ -213,9 +214,9 @@ def _scores(normals, offsets, sample, threshold):
     return score
 
 
-def _refine(points, weights, normal, offset, threshold, rounds=30):
+def _refine(points, weights, normal, offset, threshold):
     """Fit the plane by least squares with Tukey's biweight until it stands still."""
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         away = (points @ normal + offset) / threshold
         near = np.abs(away) < 1
         share = weights[near] * (1 - away[near] ** 2) ** 2

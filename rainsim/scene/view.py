@@ -20,7 +20,10 @@ from rainsim.jit import inlined_function
 class View(NamedTuple):
     """Where a picture was taken from, and through which lens.
 
-    Kernels read it only: numba drops writes through a bundle's arrays in parallel loops. A
+    On a device each number is an array of shape (1,): it changes between two replays of a recorded
+    queue. `view_from` reads them.
+
+    Kernels read a View only: numba drops writes through a bundle's arrays in parallel loops. A
     parallel kernel's module must import the bundle's class by its name (annotate the argument):
     numba looks the name up there when it takes the loop apart.
     """
@@ -38,14 +41,6 @@ class View(NamedTuple):
         return lens_array(self)
 
 
-class CameraArrays(NamedTuple):
-    """A `View` as a device holds it: its numbers change between two replays of a recorded queue."""
-
-    ground_from_camera: np.ndarray  # (3, 3) float32
-    eye: np.ndarray  # (3,) float32 [m]
-    lens: np.ndarray  # (4,) float32 [px], fx, fy, cx, cy
-
-
 def view_of(camera):
     """Return the `View` of a `Camera` whose pose is in the ground frame."""
     return View(
@@ -53,6 +48,11 @@ def view_of(camera):
         camera.position.astype(np.float32),
         *(np.float32(n) for n in (camera.fx, camera.fy, camera.cx, camera.cy)),
     )
+
+
+def view_of_arrays(ground_from_camera, eye, lens):
+    """Return the `View` of device arrays; `lens` holds fx, fy, cx, cy [px], of shape (4,)."""
+    return View(ground_from_camera, eye, *(lens[k : k + 1] for k in range(4)))
 
 
 # ---- the pinhole, for arrays
@@ -129,10 +129,9 @@ def edge_planes(camera):
 
 
 @inlined_function
-def view_from(camera):
-    """Return the `View` of `CameraArrays`, inside a kernel."""
-    lens = camera.lens
-    return View(camera.ground_from_camera, camera.eye, lens[0], lens[1], lens[2], lens[3])
+def view_from(view):
+    """Return the `View` whose numbers stand in device arrays, inside a kernel."""
+    return View(view.ground_from_camera, view.eye, view.fx[0], view.fy[0], view.cx[0], view.cy[0])
 
 
 @inlined_function

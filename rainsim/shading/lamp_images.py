@@ -11,13 +11,15 @@ Their light is that of a microfacet surface under a small source (Walter et al. 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
-from rainsim.constants import HALF, ONE, ZERO
+from rainsim.constants import HALF, ONE, SH_0, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, prange
+from rainsim.numerics.srgb import linear
 from rainsim.scene.view import View, slopes
 from rainsim.shading.fresnel import reflectance
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met
@@ -92,6 +94,41 @@ def lamps_in(picture, depth, camera):
         mean((away @ right) ** 2 + blur), mean(away[:, 2] ** 2 + blur),
     ])  # fmt: skip
     return lamps.astype(np.float32), float(excess.sum() / picture.sum())
+
+
+def lamps_seen(upright, draw_mirrored):
+    """Return what a level camera sees, and the lamps in that as in `LampView`.
+
+    Parameters
+    ----------
+    upright : Camera
+        As `level_camera` returns it.
+    draw_mirrored : callable
+        As `WetGroundMirror.add_to` takes it.
+    """
+    seen = draw_mirrored(upright)
+    lamps, share = lamps_in(seen.picture, seen.depth, upright)
+    if share > WORTH_FINE:  # coarse pixels show small lamps too large
+        fine = scaled(upright, FINE_RESOLUTION)
+        drawn = draw_mirrored(fine)
+        lamps, _ = lamps_in(drawn.picture, drawn.depth, fine)
+    return seen, lamps
+
+
+def scaled(camera, resolution):
+    """Return a level camera with so many pixels per unit of tangent."""
+    grow = resolution / camera.fx
+    width, height = math.ceil(camera.width * grow), math.ceil(camera.height * grow)
+    return replace(
+        camera, width=width, height=height, fx=resolution, fy=resolution, cx=camera.cx * grow,
+        cy=camera.cy * grow,
+    )  # fmt: skip
+
+
+def may_shine(splats):
+    """Return whether any of splats is as bright as a lamp, seen from all sides alike."""
+    shown = splats.sh[:, 0].max(initial=-np.inf)
+    return bool(linear(0.5 + SH_0 * np.float64(shown)) > BRIGHT)
 
 
 def without_lamps(picture):

@@ -64,23 +64,20 @@ def with_haze(environment, height):
     return np.ascontiguousarray(made, np.float32)
 
 
-def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
+def clouded(environment):
     """Return the map of an even sky with the undersides of clouds drawn into it.
 
     Parameters
     ----------
     environment : ndarray of shape (m, n, 3)
         Map of the even sky.
-    rows : int
-        Of the map that is made.
-    depth : float
-        The radiance is multiplied by exp(depth * noise), see `_bellies`; chosen by eye.
 
     Returns
     -------
-    ndarray of shape (rows, 2 rows, 3), float32
+    ndarray of shape (2 ROWS, 4 ROWS, 3), float32
         Scaled so that level ground receives as much green light as before.
     """
+    rows = 2 * ROWS
     direction = directions(rows, 2 * rows)
     row, column = np.indices(direction.shape[:2]) / rows
     scale = environment.shape[0]
@@ -92,7 +89,7 @@ def clouded(environment, rows=2 * ROWS, depth=CLOUD_DEPTH):
         ],
         axis=-1,
     )
-    made = even * np.exp(depth * _bellies(rows))[..., None]
+    made = even * np.exp(CLOUD_DEPTH * _bellies(rows))[..., None]
     made *= irradiance(environment)[1] / irradiance(made)[1]
     return np.ascontiguousarray(made, dtype=np.float32)
 

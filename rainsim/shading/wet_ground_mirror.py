@@ -40,11 +40,9 @@ from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import LAWS
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met, ground_slopes
 from rainsim.shading.lamp_images import (
-    FINE_RESOLUTION,
-    WORTH_FINE,
     LampView,
     add_lamps,
-    lamps_in,
+    lamps_seen,
     without_lamps,
 )
 from rainsim.shading.microfacet import LEAST_DIP, LOBE, SAMPLES, ground_reflectance, lobe_part
@@ -108,15 +106,13 @@ def in_level_picture(prepared, terrain, frame):
     return merge_fine(standing(prepared, terrain, frame), FINE / frame.meters_per_unit)
 
 
-def level_camera(view, most=RESOLUTION):
+def level_camera(view):
     """Return the level, upright camera (ground frame) that sees the reflections in wet ground.
 
     Parameters
     ----------
     view : Camera
         In the ground frame.
-    most : float
-        Pixels per unit of tangent, at most; fewer for small pictures.
     """
     turn = view.camera_from_world[:3, :3].T
     u, v = _EDGES[0] * view.width, _EDGES[1] * view.height
@@ -134,22 +130,12 @@ def level_camera(view, most=RESOLUTION):
     left, rightmost = (
         min(max(float(t), -MOST_ASIDE), MOST_ASIDE) for t in (least - MARGIN, largest + MARGIN)
     )
-    scale = min(most, view.fx)
+    scale = min(RESOLUTION, view.fx)
     width, height = math.ceil((rightmost - left) * scale), math.ceil((ABOVE + MOST_UP) * scale)
     matrix = np.eye(4)
     matrix[:3, :3] = (n, -e, 0.0), (0.0, 0.0, -1.0), (e, n, 0.0)
     matrix[:3, 3] = -matrix[:3, :3] @ view.position
     return Camera(width, height, scale, scale, -left * scale, ABOVE * scale, matrix)
-
-
-def scaled(camera, resolution):
-    """Return a level camera with so many pixels per unit of tangent."""
-    grow = resolution / camera.fx
-    width, height = math.ceil(camera.width * grow), math.ceil(camera.height * grow)
-    return replace(
-        camera, width=width, height=height, fx=resolution, fy=resolution, cx=camera.cx * grow,
-        cy=camera.cy * grow,
-    )  # fmt: skip
 
 
 @cpu_kernel
@@ -383,12 +369,7 @@ class WetGroundMirror:
         level, lamps = NO_LEVEL_PICTURE, ()
         if self.drawn:
             upright = level_camera(camera)
-            seen = draw_mirrored(upright)
-            lamps, share = lamps_in(seen.picture, seen.depth, upright)
-            if share > WORTH_FINE:  # coarse pixels show small lamps too large
-                fine = scaled(upright, FINE_RESOLUTION)
-                drawn = draw_mirrored(fine)
-                lamps, _ = lamps_in(drawn.picture, drawn.depth, fine)
+            seen, lamps = lamps_seen(upright, draw_mirrored)
             picture = without_lamps(seen.picture) if len(lamps) else seen.picture
             level = LevelPicture(
                 ripmap(picture, round(upright.cy)), seen.depth, seen.view.lens,

@@ -41,7 +41,7 @@ class Client:
     Attributes
     ----------
     handle : viser.ClientHandle
-    mode, rain, state : handles of its own controls
+    rain, state : handles of its own controls
     view : Viewpoint
     size : tuple of int
         Width and height of the picture that was shown last [px].
@@ -52,7 +52,6 @@ class Client:
     """
 
     handle: object
-    mode: object
     rain: object
     state: object
     view: Viewpoint | None = None
@@ -122,7 +121,7 @@ class Page:
         state = gui.add_markdown("connected", order=-3)
         mode = gui.add_dropdown("show", MODES, initial_value=RAIN, order=-2)
         rain = gui.add_slider("N [mm]", 1, 50, 1, 8, order=-1, visible=False)
-        client = Client(handle, mode, rain, state)
+        client = Client(handle, rain, state)
         key = handle.client_id
         with self._lock:
             self.clients[key] = client

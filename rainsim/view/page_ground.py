@@ -48,8 +48,12 @@ class GroundTools:
             self.depth = gui.add_slider("water put [mm]", 0, 200, 1, 10)
             self.use = gui.add_dropdown("it", (STAYS, DRAINS))
             self.flood = gui.add_button("water up to the point", disabled=True)
-            self.save = gui.add_button("save ground and classes")
-            self.keep = gui.add_button("save as a scene of its own")
+            for label, what in (
+                ("save ground and classes", "save_ground"),
+                ("save as a scene of its own", "save_scene"),
+            ):
+                save = gui.add_button(label)
+                save.on_click(page.guarded(lambda _, what=what: self._save(what)))
         self.tool.on_update(self._choose_tool)
         self.kind.on_update(self._say_brush)
         for control in (self.radius, self.depth, self.use):
@@ -57,8 +61,6 @@ class GroundTools:
         self.scale.on_click(page.guarded(self._set_scale))
         self.up.on_click(page.guarded(self._set_up))
         self.flood.on_click(page.guarded(self._flood))
-        self.save.on_click(page.guarded(lambda _: self._save("save_ground")))
-        self.keep.on_click(page.guarded(lambda _: self._save("save_scene")))
 
     def connect(self, handle):
         """Take the clicks of a new page."""

@@ -45,28 +45,28 @@ class HomeTools:
         self.page, self.painter, self.home = page, page.painter, home
         self.keyframes, self._nodes, self.taken, self._run = [], [], None, None
         gui, config = page.server.gui, page.painter.config
+
+        def button(label, function, **more):
+            made = gui.add_button(label, **more)
+            made.on_click(page.guarded(function))
+            return made
+
         with gui.add_folder("Take home", order=5, expand_by_default=False):
             self.width = gui.add_number("width [px]", config.width, min=8, max=MAX_SIDE, step=8)
             height = config.height or round(config.width / 1.5)
             self.height = gui.add_number("height [px]", height, min=8, max=MAX_SIDE, step=4)
-            self.shot = gui.add_button("save this picture")
-            self.command = gui.add_button("print its command")
+            button("save this picture", self._save_shot)
+            button("print its command", self._print_command)
             self.seconds = gui.add_number("seconds to it", 2.0, min=0.05, max=600.0, step=0.05)
             self.time = gui.add_dropdown("time of the rain", (GOES_ON, AS_SEEN))
-            self.add = gui.add_button("add a keyframe")
-            self.remove = gui.add_button("remove the last keyframe")
-            self.save = gui.add_button("save the path")
+            button("add a keyframe", self._add)
+            button("remove the last keyframe", self._remove)
+            button("save the path", self._save_path)
             self.load = gui.add_upload_button("load a path", mime_type="application/json")
-            self.film = gui.add_button("draw the saved one here")
-            self.stop = gui.add_button("cancel", disabled=True)
+            button("draw the saved one here", self._draw_here)
+            self.stop = button("cancel", lambda _: self.cancel(), disabled=True)
             self.progress = gui.add_progress_bar(0.0, visible=False)
             self.words = gui.add_markdown("no keyframe")
-        for handle, function in (
-            (self.shot, self._save_shot), (self.command, self._print_command),
-            (self.add, self._add), (self.remove, self._remove), (self.save, self._save_path),
-            (self.film, self._draw_here), (self.stop, lambda _: self.cancel()),
-        ):  # fmt: skip
-            handle.on_click(page.guarded(function))
         self.load.on_upload(page.guarded(self._load))
 
     # --- files ------------------------------------------------------------------------------------

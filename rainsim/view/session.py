@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim.actors.footprint import with_footprints
 from rainsim.backend import free_device_memory, on_backend
+from rainsim.config.declare import BASES, LIGHT, TERRAIN, WATER
+from rainsim.config.tables import SETTINGS
 from rainsim.errors import GroundError, ParameterError, shown
 from rainsim.io.files import number_array
 from rainsim.lod.paged import rasterizer_of_scene
@@ -20,15 +23,12 @@ from rainsim.pipeline import extract_terrain
 from rainsim.render.drawn_capture import NEAR
 from rainsim.render.leaving import leaving_of
 from rainsim.render.memory import require_memory, require_memory_of_picture
-from rainsim.render.renderer import Renderer
 from rainsim.render.report import Timer
-from rainsim.render.shutter import shutter_end
 from rainsim.scene.camera_path import camera_path_data, path_cameras
 from rainsim.scene.camera_rule import RIGID_TOLERANCE
 from rainsim.scene.cameras import resize_to
 from rainsim.terrain.classify import painted_mask
 from rainsim.terrain.pond import without_images
-from rainsim.view.redo import LIGHT, PARTS, PASSES, TERRAIN, WATER, out_of_date
 from rainsim.view.water_states import SharedWater
 
 MIRRORS = ("auto", "mirror")  # reflections that draw the capture again
@@ -65,6 +65,14 @@ class Viewpoint:
     def rotation(self):
         """Rotation to the ground frame from the camera frame, ndarray of shape (3, 3)."""
         return Rotation.from_quat(self.turn, scalar_first=True).as_matrix()
+
+
+def out_of_date(before, after):
+    """Return the parts that a change from one `Config` to another makes out of date, a set."""
+    return {
+        part for name, one in SETTINGS.items() if before.value(name) != after.value(name)
+        for part in one.touches
+    }  # fmt: skip
 
 
 class OutOfDateError(Exception):
@@ -117,7 +125,7 @@ class Session:
     no_ground : GroundError or None
         Why the scene has no terrain. Then the capture alone is drawn.
     stale : set of str
-        Of `redo.PARTS`: the parts to be made again.
+        Of `BASES`: the parts to be made again.
     terrain : Terrain
     water : SharedWater
     renderer : Renderer of the backend
@@ -130,7 +138,7 @@ class Session:
         self.scene, self.config, self.backend, self.mask = scene, config, backend, mask
         self.water_mask = water
         self.cameras, self.no_ground, self._bare = tuple(scene.cameras or cameras), None, None
-        self.stale, self._drawn_with = set(PARTS), config
+        self.stale, self._drawn_with = set(BASES), config
         self._progress, self._say = progress or (lambda stage, done, total: None), say
         self._make_renderer, simulate = on_backend(backend)
         # The states of a GPU's simulation share its memory: only the last one is whole.
@@ -142,7 +150,7 @@ class Session:
 
     def set_config(self, config):
         """Take over other settings; `make` then makes again the parts that they change."""
-        self.stale |= set(out_of_date(self.config, config))
+        self.stale |= out_of_date(self.config, config)
         self.config = config
 
     def set_scene(self, scene, mask=None):
@@ -153,12 +161,12 @@ class Session:
         if scene.ground_frame is not self.scene.ground_frame:
             self.water_mask = None
         self.scene, self.mask, self._camera = scene, mask, None
-        self.stale |= set(PARTS)
+        self.stale |= set(BASES)
 
     def set_water_mask(self, mask):
         """Put other water on the ground, a `WaterMask` or None: all parts are out of date."""
         self.water_mask, self._camera = mask, None
-        self.stale |= set(PARTS)
+        self.stale |= set(BASES)
 
     @property
     def class_mask(self):
@@ -179,27 +187,27 @@ class Session:
             stay.
         """
         for part, make in (
-            (TERRAIN, self._make_terrain), (WATER, self._make_water), (LIGHT, self._make_light),
-            (PASSES, self._make_passes),
+            (TERRAIN, partial(self._make_terrain, check)), (WATER, self._make_water),
+            (LIGHT, self._make_light),
         ):  # fmt: skip
             if part in self.stale:
                 check()
-                make(self.config, check)
+                make()
                 self.stale.discard(part)
 
     def make_ground(self):
         """Make the terrain alone, for a camera to be chosen by it."""
-        self._make_terrain(self.config, lambda: None)
+        self._make_terrain(lambda: None)
         self.stale.discard(TERRAIN)
 
-    def _make_terrain(self, config, check):
+    def _make_terrain(self, check):
         def progress(stage, done, total):
             check()
             self._progress(stage, done, total)
 
         try:
             terrain = extract_terrain(
-                self.scene, config, self.mask, progress, self._say, self.water_mask
+                self.scene, self.config, self.mask, progress, self._say, self.water_mask
             )
         except GroundError as error:
             self.terrain, self.renderer, self.no_ground = None, None, error
@@ -208,48 +216,29 @@ class Session:
         self.no_ground, self._bare = None, None
         self._drawn_scene = without_images(self.scene, terrain)
 
-    def _make_water(self, config, check):
-        self.water.restart(with_footprints(self.terrain, self.scene), config)
+    def _make_water(self):
+        self.water.restart(with_footprints(self.terrain, self.scene), self.config)
 
-    def _make_light(self, config, check):
-        """Make the renderer with all its light; its passes come with it."""
-        camera = self._first_camera()
+    def _make_light(self):
+        """Make the renderer with all its light."""
+        camera, config = resize_to(self.cameras[0], self.config.width), self.config
         free = free_device_memory(self.backend)
         require_memory(self.scene, camera, self.terrain.bed.size, 0, free)
-        self._say_stage("light")
+        self._progress("light", 0, 1)
         self.renderer = None  # its memory goes first
         self.renderer = self._make_renderer(self._drawn_scene, self.terrain, config, camera)
         self._camera, self._drawn_with = None, config
-        self.stale.discard(PASSES)
 
-    def _make_passes(self, config, check):
-        """Make the renderer with the light that there is."""
-        if self.backend != "cpu":
-            self._make_light(config, check)
-            return
-        light = self.renderer.conductor.wet_scene
-        light.config = config
-        self.renderer = Renderer(
-            self._drawn_scene, self.terrain, config, self._first_camera(), wet_scene=light
-        )
-        self._camera, self._drawn_with = None, config
-
-    def _say_stage(self, stage):
-        self._progress(stage, 0, 1)
-
-    def _first_camera(self):
-        """Return the camera that a renderer takes as the first of a sequence."""
-        return resize_to(self.cameras[0], self.config.width)
-
-    def _follow(self, config):
-        """Let the renderer draw with settings that its parts were not made for."""
+    def _follow(self):
+        """Let the renderer draw with settings that it was not made for."""
+        config = self.config
         if self._drawn_with == config:
             return
         if self.backend == "cpu":
             self.renderer.conductor.take_settings(config)
             self._camera, self._drawn_with = None, config
         elif not self.stale:  # the device has copies of the settings
-            self._make_light(config, None)
+            self._make_light()
 
     @property
     def is_ready(self):
@@ -308,52 +297,28 @@ class Session:
         picture : ndarray of shape (height, width, 3), uint8
         report : FrameReport
         """
-        self._follow(self.config)
+        self._follow()
         key = view, width, height, simple
         if self._camera is None or self._camera[0] != key:
             camera = self.camera_of(view, width, height)
             require_memory_of_picture(camera, free_device_memory(self.backend))
             self._camera = key, camera
             self._simplify(simple)
-        return self.draw_camera(self._camera[1], index, None, names, check)
-
-    def draw_camera(self, camera, index, end=None, names=(), check=lambda: None):
-        """Return the picture of a Camera of the capture frame and its report.
-
-        `end` is the camera as the shutter closes, in the ground frame; the others are as for
-        `draw`.
-        """
+        camera = self._camera[1]
         try:
             state = self.water.state(index, check)
             if self.backend != "cpu":
-                picture, report = self.renderer.draw(camera, state, end, names)
+                picture, report = self.renderer.draw(camera, state, None, names)
                 return picture.copy(), report
-            return self.renderer.draw(camera, state, end, names, CheckedTimer(check))
+            return self.renderer.draw(camera, state, None, names, CheckedTimer(check))
         except BaseException:
             self._camera = None  # what was kept for it is only partly drawn
             raise
 
-    def draw_path_frame(self, cameras, index):
-        """Return the picture of one frame of a path, as `rainsim run --path` draws it.
-
-        Parameters
-        ----------
-        cameras : sequence of Camera
-            One per frame, in the capture frame, all of one size.
-        index : int
-        """
-        frame, config = self.scene.ground_frame, self.config
-        path = [frame.camera_in_ground(camera) for camera in cameras]
-        moment = config.moment(index)
-        end = shutter_end(path, index, config.at(moment / config.fps).render.exposure, config.fps)
-        self._camera = None
-        self._simplify(False)
-        return self.draw_camera(replace(cameras[index]), moment, end)[0]
-
     def dry(self, camera):
         """Return the `raster.Layers` of the capture that a Camera of the capture frame takes."""
         if self.is_ready:
-            return self.renderer.conductor.wet_scene.capture.dry(camera)
+            return self.renderer.conductor.wet_scene.capture.layers(camera)
         if self._bare is None:
             self._bare = rasterizer_of_scene(self.scene, self.config.render)
         return self._bare.draw(camera, NEAR / self.scene.ground_frame.meters_per_unit)

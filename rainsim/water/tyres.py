@@ -149,13 +149,19 @@ class Tyres:
         """
         if self._box is None:
             return NO_TRACKS
-        part = self._passed_part(math.ceil(4 * SHOULDER) + 1)  # the blur reaches no farther
+        part = self.passed()
         full = np.maximum(self._terrain.by_class("storage", part), LEFT)
         share = np.clip(depth[part] / full, 0, 1)
         share = np.where(self._passed[part], share, 1.0).astype(np.float32)
         tracks = np.full(self._passed.shape, 255, np.uint8)
         tracks[part] = np.rint(ndimage.gaussian_filter(share, SHOULDER) * 255)
         return tracks
+
+    def passed(self):
+        """Return rows and columns, two slices, of what `tracks` looks at; None if it is nothing."""
+        if self._box is None:
+            return None
+        return self._passed_part(math.ceil(4 * SHOULDER) + 1)  # the blur reaches no farther
 
     def _passed_part(self, margin=0):
         """Return rows and columns, two slices, about all that tyres have passed."""
@@ -183,19 +189,13 @@ class Tyres:
         wind = weather.wind(0.5 * (start + stop)) * float(wind_at(WIND_AT, self._roughness))
         rows, ids, own = [], [], []
         tick = round(stop / (LONGEST_STEP / 64))
-        for number, car in enumerate(self._cars):
-            poses = car.motion.coming(start), car.motion.coming(stop)
-            if poses[0] is None or poses[1] is None:
-                continue
-            ways = [pose.places(car.motion.wheels[:, :3]) for pose in poses]
-            middle = poses[1].places(car.motion.box[:1])[0]
-            for k, (begin, end) in enumerate(zip(*ways, strict=True)):
-                row, share = self._throw(solver, car, k, begin, end, middle, start, stop, wind)
-                if row is not None:
-                    row[AT["car"]] = number
-                    rows.append(row)
-                    ids.append((number * MOST_WHEELS + k, tick))
-                    own.append(share)
+        for number, car, k, begin, end, middle in self._ways(start, stop):
+            row, share = self._throw(solver, car, k, begin, end, middle, start, stop, wind)
+            if row is not None:
+                row[AT["car"]] = number
+                rows.append(row)
+                ids.append((number * MOST_WHEELS + k, tick))
+                own.append(share)
         if rows:
             table, (wheel, moment) = np.array(rows), np.array(ids, np.int64).T
             ids = subkey(subkey(self._key, wheel), moment)
@@ -209,6 +209,29 @@ class Tyres:
         self._throws, self._ids = self._throws[recent], self._ids[recent]
         self._own = self._own[recent]
         self._land(solver, stop)
+
+    def _ways(self, start, stop):
+        """Yield the ways of all tyres in a step.
+
+        Number of the car, the car, number of its tyre, the tyre's places [m] at `start` and `stop`
+        [s], and the middle of the car at the end.
+        """
+        for number, car in enumerate(self._cars):
+            poses = car.motion.coming(start), car.motion.coming(stop)
+            if poses[0] is None or poses[1] is None:
+                continue
+            ways = [pose.places(car.motion.wheels[:, :3]) for pose in poses]
+            middle = poses[1].places(car.motion.box[:1])[0]
+            for k, (begin, end) in enumerate(zip(*ways, strict=True)):
+                yield number, car, k, begin, end, middle
+
+    def _cells_under(self, begin, end, width):
+        """Return rows and columns of the cells of the road that a tyre of a width [m] passes."""
+        rows, columns = _swept(self._terrain.grid, begin, end, float(width))
+        if len(rows):
+            off = np.abs(self._terrain.bed[rows, columns] - 0.5 * (begin + end)[2])
+            rows, columns = (a[off < OFF_THE_ROAD] for a in (rows, columns))
+        return rows, columns
 
     def _throw(self, solver, car, k, begin, end, middle, start, stop, wind):
         """Take the water in the path of one tyre.
@@ -226,10 +249,7 @@ class Tyres:
         if speed < SLOWEST:
             return None, 0.0
         grid = self._terrain.grid
-        rows, columns = _swept(grid, begin, end, float(width))
-        if len(rows):
-            off = np.abs(self._terrain.bed[rows, columns] - 0.5 * (begin + end)[2])
-            rows, columns = (a[off < OFF_THE_ROAD] for a in (rows, columns))
+        rows, columns = self._cells_under(begin, end, width)
         if not len(rows):
             return None, 0.0
         self._passed[rows, columns] = True

@@ -22,7 +22,7 @@ DEEP = 1e-3  # m over the film: water that stands so deep flows back behind a ty
 CLOSING = 0.5  # s in which it does so, to a part of e; an assumption
 
 
-def tyres_of(terrain, config, begin=None):
+def tyres_of(terrain, config, begin=None, kind=Tyres):
     """Return the `Tyres` of the actors on a terrain; none if the settings leave spray out.
 
     Parameters
@@ -31,12 +31,14 @@ def tyres_of(terrain, config, begin=None):
     config : Config
     begin : Begin, optional
         Of a window's water.
+    kind : type
+        Of the tyres of a whole map.
     """
     around = None if begin is None else begin.around
     how = config.rain.seed, config.rain.roughness
     if config.render.spray == "off" or around is None:
         footprints = () if config.render.spray == "off" else terrain.footprints
-        return Tyres(replace(terrain, footprints=footprints), *how)
+        return kind(replace(terrain, footprints=footprints), *how)
     return WindowTyres(around, config.fps, *how)
 
 

@@ -1,22 +1,23 @@
 """Frames of scenes with actors in numba's CUDA simulator, against the CPU's."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
 
+from rainsim import simulation
 from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import Config
 from rainsim.cuda import simulated
 from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.cuda.render import renderer as twin
-from rainsim.cuda.simulation import simulate
 from rainsim.cuda.splatting.prepared import DeviceSplats
-from rainsim.pipeline import extract_terrain
+from rainsim.pipeline import FrameSequence, extract_terrain, simulate
 from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.render import renderer as rendering
 from rainsim.render.wet_scene import WetScene
-from scenes import moving_scene
+from scenes import moving_scene, rolling_scene
 
 assert simulated()
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -100,3 +101,20 @@ def test_frames_and_labels_are_those_of_the_cpu(scene, terrain, monkeypatch):
     assert sent and all(sent)  # to the room of the actors, before the static set
     again = gpu.draw(dataclasses.replace(camera), states[0])[0]
     np.testing.assert_array_equal(again, pictures[0])
+
+
+def test_frames_with_the_water_on_the_device_are_those_of_the_cpu(monkeypatch):
+    """A box on wheels: its shelter, tracks and spray come from the device's own simulation."""
+    small = functools.partial(simulation.RippleTile, cells=16, size=0.5)
+    monkeypatch.setattr(simulation, "RippleTile", small)
+    own = rolling_scene()
+    settings = CONFIG.replace(scheme="lean", fps=12.0, past=8e-3, reflections="ssr")
+    ground, pictures = extract_terrain(own, settings), {}
+    for backend in ("cpu", "cuda"):
+        sequence = FrameSequence(own, ground, [own.cameras[0].resized(*SIZE)], settings, backend)
+        pictures[backend] = [picture.copy() for picture, _ in sequence.frames(range(3))]
+    for found, wanted in zip(pictures["cuda"], pictures["cpu"], strict=True):
+        assert decibel(found, wanted) > 40
+    assert (pictures["cpu"][0] != pictures["cpu"][2]).any()
+    state = sequence._state
+    assert state.simulation.drips is None and len(state.throws) and state.tracks.min() < 255

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
+from rainsim.cuda.shading import lamp_images as twin_lamps
 from rainsim.cuda.shading import wet_ground_mirror as twin
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
 from rainsim.numerics.ripmap import ripmap
-from rainsim.scene.view import CameraArrays, View
-from rainsim.shading import microfacet, sky, wet_ground_mirror
+from rainsim.scene.view import View, view_of_arrays
+from rainsim.shading import lamp_images, microfacet, sky, wet_ground_mirror
 from rainsim.shading.fresnel import SCHLICK
+from rainsim.shading.lamp_images import LampView
 from rainsim.shading.wet_ground_mirror import GroundSlopes, LevelPicture
 
 assert simulated()
@@ -57,7 +59,7 @@ def test_field_share_and_picture(pictured, rng, poisoned):
         size = F4([0, 0])
     shape = HEIGHT // STEP, WIDTH // STEP
     wanted, found = poisoned((*shape, 3)), poisoned((*shape, 3))
-    view, camera = View(TURN, EYE, *LENS), CameraArrays(TURN, EYE, LENS)
+    view, camera = View(TURN, EYE, *LENS), view_of_arrays(TURN, EYE, LENS)
     lobe = microfacet.LOBE
     level, larger = (LevelPicture(atlas, d, lens, forward) for d in (there, depth))
     wet_ground_mirror.mirrored_field(
@@ -75,3 +77,36 @@ def test_field_share_and_picture(pictured, rng, poisoned):
     launch(twin.add_reflection, cover.shape, bare, cover, wanted, STEP, mine)
     np.testing.assert_allclose(mine, laid, atol=1e-6)
     assert abs(laid - bare).max() > 0.05
+
+
+def test_lamps_are_dimmed_and_mirrored_as_on_the_cpu(rng):
+    picture = rng.uniform(0, 12, (9, 13, 3)).astype(F4)
+    for many in (0, 2):
+        mine = picture.copy()
+        launch(twin_lamps.dim_lamps, picture.shape[:2], np.array([many], np.int32), mine)
+        wanted = lamp_images.without_lamps(picture) if many else picture
+        np.testing.assert_allclose(mine, wanted, rtol=1e-6)
+    slopes = np.zeros((20, 24, 4), F4)
+    slopes[..., :3], slopes[..., 3] = rng.normal(0, 0.02, (20, 24, 3)), 0.2
+    ground = GroundSlopes(slopes, F4([-12, -4]), F4(1.0), SCHLICK)
+    lamps = np.zeros((4, 8), F4)
+    lamps[:3] = rng.uniform((-3, 5, 0.5, 0.1, 0.1, 0.1, 1e-4, 1e-4),
+                            (3, 12, 2, 1, 1, 1, 1e-2, 1e-2), (3, 8))  # fmt: skip
+    lamps[3] = lamps[2]  # room that is not used
+    depth = rng.uniform(3, 30, (40, 70)).astype(F4)
+    lens, forward = np.array([30, 30, 33, 3], F4), F4([0, 1])
+    view, camera = View(TURN, EYE, *LENS), view_of_arrays(TURN, EYE, LENS)
+    shape = HEIGHT // STEP, WIDTH // STEP
+    before = rng.uniform(0, 1, (*shape, 3)).astype(F4)
+    wanted, found = before.copy(), before.copy()
+    few, all_of_them = (
+        LampView(lamps[:3], depth[:24, :60], lens, forward),
+        LampView(lamps, depth, lens, forward),
+    )
+    lamp_images.add_lamps(view, STEP, np.ones(shape, bool), ground, few, wanted)
+    launch(
+        twin_lamps.add_lamps, shape, np.array([3], np.int32), camera, STEP, ground, all_of_them,
+        F4([60, 24]), found,
+    )  # fmt: skip
+    np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=1e-5)
+    assert (wanted - before).max() > 1e-3

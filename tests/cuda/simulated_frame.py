@@ -1,22 +1,26 @@
 """Whole rainy frames of the twin in the simulator, against the CPU's."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
 
+from rainsim import simulation
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
 from rainsim.cuda import simulation as cuda_simulation
 from rainsim.cuda.render import renderer as twin
+from rainsim.cuda.shading.lamp_images import Lamps
 from rainsim.daylight import kept_light
 from rainsim.daylight.relight import Relight
 from rainsim.errors import ParameterError
-from rainsim.pipeline import extract_terrain, simulate
+from rainsim.pipeline import FrameSequence, extract_terrain, simulate
+from rainsim.reflection.water_pass import choice_of
 from rainsim.render import aov
 from rainsim.render import renderer as rendering
 from rainsim.render.wet_scene import WetScene
-from scenes import tiny_scene
+from scenes import lamp_scene, tiny_scene
 
 assert simulated()
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -27,6 +31,13 @@ SIZE = (32, 24)
 def quick(monkeypatch):
     """The day's sky as surroundings: six pictures are much for the simulator."""
     monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.sky.day)
+
+
+@pytest.fixture
+def small_tile(monkeypatch):
+    """Rings on few cells."""
+    small = functools.partial(simulation.RippleTile, cells=16, size=0.5)
+    monkeypatch.setattr(simulation, "RippleTile", small)
 
 
 def config(**changes):
@@ -66,7 +77,7 @@ def test_frames_are_those_of_the_cpu(reflections, least):
         assert decibel(a, b) > least
     assert (wanted[0] != wanted[1]).any()
     # Of the ground's water, and of what lies level above it.
-    assert renderer.frame.passes.mirrors.passes == (2 if reflections == "auto" else 0)
+    assert len(renderer.frame.passes.mirrors._passes) == (2 if reflections == "auto" else 0)
     again = renderer.draw(camera, states[0])[0]
     np.testing.assert_array_equal(again, found[0])
     assert len(launches) == count > 0  # a still camera's picture is kept
@@ -89,12 +100,49 @@ def test_wet_tops_are_those_of_the_cpu():
     picture = wanted.draw(camera, state)[0]
     renderer = twin.Renderer(scene, terrain, settings, camera)
     assert decibel(renderer.draw(camera, state)[0], picture) > 50
-    assert (wanted.water._top >= 0).mean() > 0.2 and "tops" in wanted.water.choice()
+    assert (wanted.water.top >= 0).mean() > 0.2 and "tops" in choice_of(wanted.water)
     off = settings.replace(tops="off")
     without = rendering.Renderer(scene, terrain, off, camera).draw(camera, state)[0]
     assert decibel(without, picture) < 40
     own = cuda_simulation.Simulation(terrain, settings)
     np.testing.assert_allclose(own.advance().top_water, state.top_water, rtol=1e-6)
+
+
+def test_frames_show_other_times_of_the_rain_than_their_own(small_tile):
+    """States that are shown twice, and gaps of more steps than the device keeps states."""
+    scene = tiny_scene()
+    cameras = [camera.resized(*SIZE) for camera in scene.cameras[:2] * 3]
+    settings = config(
+        level=0.06, rate=mm_per_hour(30.0), frames=5, extent=0.5, scheme="lean", drips=False
+    )
+    settings = dataclasses.replace(settings, moments=(0, 0, 1, 4, 4))
+    terrain = extract_terrain(scene, settings)
+    shown = {}
+    for backend in ("cpu", "cuda"):
+        sequence = FrameSequence(scene, terrain, cameras[:5], settings, backend)
+        shown[backend] = [(picture.copy(), report) for picture, report in sequence.frames(range(5))]
+    for (found, report), (wanted, theirs) in zip(shown["cuda"], shown["cpu"], strict=True):
+        assert (report.index, report.time) == (theirs.index, theirs.time)
+        assert report.ledger["rain"] == pytest.approx(theirs.ledger["rain"], rel=1e-5)
+        assert decibel(found, wanted) > 40
+    assert sequence.next == 3  # the first frame of the state at hand
+    ((picture, _),) = sequence.frames([4])
+    np.testing.assert_array_equal(picture, shown["cuda"][4][0])
+    ((picture, _),) = sequence.frames([2])  # from the beginning again
+    np.testing.assert_array_equal(picture, shown["cuda"][2][0])
+
+
+def test_a_state_stays_until_the_frame_that_shows_it_is_finished(small_tile):
+    settings = config(level=0.06, frames=9, extent=0.5, scheme="lean", rate=0.0)
+    run = cuda_simulation.Simulation(extract_terrain(tiny_scene(), settings), settings)
+    first, run.is_shown = run.advance(), True
+    depth = first.depth
+    states = [run.advance() for _ in range(4)]
+    assert run.follows(1) and not run.follows(2)
+    shown = states[3].shown_by(9)
+    assert (shown.index, shown.step, states[3].index) == (9, 4, 4)
+    run.is_shown = False
+    assert shown.depth is depth and run.follows(5)  # the fifth state overwrites the first
 
 
 def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
@@ -118,6 +166,27 @@ def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
     plain = config(reflections="auto", film="environment", rate=0.0)
     without = rendering.Renderer(scene, terrain, plain, camera).draw(camera, state)[0]
     assert decibel(pictures[2], without) < 45
+
+
+def test_lamps_on_wet_ground_are_those_of_the_cpu(monkeypatch):
+    """A lamp over wet paving at dusk; its image is that of a source."""
+    dark, scene = lamp_scene()
+    camera = scene.cameras[0].resized(*SIZE)
+    settings = config(
+        film="mirror", reflections="auto", rate=0.0, past=2e-3, daylight=0.04, brightness=0.35
+    )
+    terrain = extract_terrain(scene, settings)
+    state = next(iter(simulate(terrain, settings)))
+    wanted = rendering.Renderer(scene, terrain, settings, camera).draw(camera, state)[0]
+    renderer = twin.Renderer(scene, terrain, settings, camera)
+    found = renderer.draw(camera, state)[0].copy()
+    assert decibel(found, wanted) > 50
+    assert int(renderer.frame.passes.ground_light.level.lamps._many[0]) > 0
+    monkeypatch.setattr(Lamps, "add", lambda *_: None)
+    without = twin.Renderer(scene, terrain, settings, camera).draw(camera, state)[0]
+    assert decibel(without, wanted) < decibel(found, wanted) - 6
+    plain = twin.Renderer(dark, terrain, settings, camera)
+    assert plain.frame.passes.ground_light.level.lamps is None
 
 
 def test_colors_follow_clouds_that_come_and_go(monkeypatch, tmp_path):

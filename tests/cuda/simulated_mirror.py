@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
+from rainsim.cuda.reflection import mirror_choice as levels
 from rainsim.cuda.reflection import planar_mirror as twin
 from rainsim.cuda.splatting import project
 from rainsim.reflection.mirror_choice import LEVEL_STEP, group_levels
 from rainsim.reflection.water_pass import mirror_window
 from rainsim.scene.types import Camera
-from rainsim.scene.view import CameraArrays
+from rainsim.scene.view import view_of_arrays
 
 assert simulated()
 HEIGHT, WIDTH = 70, 90
@@ -35,13 +36,13 @@ def counted(z, coverage):
     """The twin's counts and extent; rays go straight down from a height of 2 m."""
     down = np.diag([1, -1, -1]).astype(np.float32)
     eye, lens = np.array([0, 0, 2], np.float32), np.array([1e9, 1e9, 0, 0], np.float32)
-    count, extent = np.full(twin.BINS, -9, np.int32), np.full(4, -9, np.int32)
-    twin.clear_counts[twin.BINS // twin.THREADS, twin.THREADS](count, extent)
-    blocks = -(-WIDTH // twin.THREADS), -(-HEIGHT // twin.COUNT_ROWS)
-    twin.count_heights[blocks, twin.THREADS](
+    count, extent = np.full(levels.BINS, -9, np.int32), np.full(4, -9, np.int32)
+    levels.clear_counts[levels.BINS // levels.THREADS, levels.THREADS](count, extent)
+    blocks = -(-WIDTH // levels.THREADS), -(-HEIGHT // levels.COUNT_ROWS)
+    levels.count_heights[blocks, levels.THREADS](
         (2 - z).astype(np.float32),
         coverage,
-        CameraArrays(down, eye, lens),
+        view_of_arrays(down, eye, lens),
         FIRST_BIN,
         count,
         extent,
@@ -61,7 +62,9 @@ def test_levels_are_those_of_the_cpu(water, name):
     wanted, _ = group_levels(heights, name)
     most = 3 if name == "auto" else 1
     served, number = np.full((most, 3), np.nan), np.full(1, -9, np.int32)
-    twin.choose_levels[1, twin.THREADS](count, FIRST_BIN, most, name == "mirror", served, number)
+    levels.choose_levels[1, levels.THREADS](
+        count, FIRST_BIN, most, name == "mirror", served, number
+    )
     assert number[0] == len(wanted) == most
     np.testing.assert_allclose(served[:, 0], [level for level, _ in wanted], atol=1e-9)
     if name == "auto":
@@ -72,7 +75,7 @@ def test_levels_are_those_of_the_cpu(water, name):
     nothing = np.zeros_like(coverage)
     count, extent = counted(z, nothing)
     assert count.sum() == 0 and extent[2] == -1
-    twin.choose_levels[1, twin.THREADS](count, FIRST_BIN, most, False, served, number)
+    levels.choose_levels[1, levels.THREADS](count, FIRST_BIN, most, False, served, number)
     assert number[0] == 0 and (served[:, 1] > served[:, 2]).all()
 
 

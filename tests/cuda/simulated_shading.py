@@ -34,7 +34,7 @@ from rainsim.reflection.water_record import RECORD
 from rainsim.reflection.water_shading import Background, Optics, Ripples
 from rainsim.reflection.water_surface import WaterMap
 from rainsim.reflection.wet_tops import DRY_TOPS
-from rainsim.scene.view import CameraArrays, View
+from rainsim.scene.view import View, view_of_arrays
 from rainsim.shading import composite, sky, wet_ground_mirror, wet_pass
 from rainsim.shading.composite import RainCover, RainLight
 from rainsim.shading.fresnel import EXACT, SCHLICK
@@ -102,7 +102,7 @@ def test_grade_and_wet(view, poisoned):
         """Return the arguments of the CPU's kernel and of the twin."""
         ground = GroundMaps(view.bed, wetness * F4(damp), ORIGIN, SPACING, bodies)
         rain = np.array([damp, 0.2, -0.4, 0.8, 0.3], F4)
-        camera = CameraArrays(view.turn, view.eye, view.lens)
+        camera = view_of_arrays(view.turn, view.eye, view.lens)
         ours = dry, View(view.turn, view.eye, *view.lens), ground, OffGroundWetness(*rain), skies
         return (*ours, Look(*look)), (dry, camera, ground, rain, skies, look)
 
@@ -139,7 +139,7 @@ def test_compose(view, poisoned, rng):
     light = view.color * 2, view.depth, RainCover(*alphas, fog), RainLight(drops, around, air)
     wanted, found = (poisoned((HEIGHT, WIDTH, 3), np.uint8) for _ in range(2))
     composite.compose(*light, View(view.turn, view.eye, *view.lens), F4(1.1), wanted)
-    camera = CameraArrays(view.turn, view.eye, view.lens)
+    camera = view_of_arrays(view.turn, view.eye, view.lens)
     launch(cuda_composite.compose, *light, camera, np.array([1.1], F4), found)
     difference = np.abs(found.astype(int) - wanted)
     assert difference.max() <= 1 and (difference > 0).mean() < 0.01
@@ -186,7 +186,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
     *_, (surface, over) = pond
     camera, own = (
         View(view.turn, view.eye, *view.lens),
-        CameraArrays(view.turn, view.eye, view.lens),
+        view_of_arrays(view.turn, view.eye, view.lens),
     )
     water_map = WaterMap(surface, over, view.exposure, ORIGIN, SPACING)
     highest, cover = F4(surface[over > 0].max()), np.array([0.0005, 0.002], F4)

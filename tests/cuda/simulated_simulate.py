@@ -11,7 +11,7 @@ from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
 from rainsim.cuda import simulation as twin
 from rainsim.pipeline import extract_terrain
-from scenes import tiny_scene
+from scenes import rolling_scene, tiny_scene
 
 assert simulated()
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -69,3 +69,34 @@ def test_a_level_that_moves_is_followed():
         assert abs(gpu.ledger["residual"]) < 1e-6
     assert depths[2].max() > 1.2 * depths[0].max() > 1.2 * depths[5].max()
     assert gpu.ledger["inflow"] > 0 and gpu.ledger["drained"] > 0
+
+
+def test_what_moves_over_the_water_is_followed():
+    """The shelter of a box on wheels, the water that its tyres take and throw, and their tracks."""
+    config = Config().replace(
+        rate=mm_per_hour(200.0), past=8e-3, extent=0.7, spacing=0.05, wind=(0.5, 0.2), fps=12.0,
+        scheme="lean", frames=6,
+    )  # fmt: skip
+    terrain = extract_terrain(rolling_scene(), config)
+    assert len(terrain.footprints) == 1
+    wanted, found = simulation.simulate(terrain, config), twin.simulate(terrain, config)
+    still = twin.simulate(dataclasses.replace(terrain, footprints=()), config)
+    for _ in range(5):
+        cpu, gpu, without = next(wanted), next(found), next(still)
+        depth = gpu.depth.copy_to_host()
+        np.testing.assert_allclose(depth, cpu.depth, atol=1e-7)
+        np.testing.assert_array_equal(gpu.throw_id, cpu.throw_id)
+        np.testing.assert_allclose(gpu.throws, cpu.throws, rtol=1e-4, atol=1e-9)
+        assert gpu.tracks.shape == cpu.tracks.shape
+        assert np.abs(gpu.tracks.astype(int) - cpu.tracks).max() <= 1
+        moments = gpu.moments.copy_to_host()
+        slopes = np.moveaxis(moments[:, : len(moments), :2], -1, 0)
+        assert np.abs(slopes - cpu.slopes).max() < 1e-3 * np.abs(cpu.slopes).max()
+        assert not gpu.simulation.lacked(gpu.step)
+        ledger = gpu.ledger
+        for name, volume in cpu.ledger.items():
+            assert ledger[name] == pytest.approx(volume, rel=1e-4, abs=1e-9), name
+        assert abs(ledger["residual"]) < 1e-6
+    assert len(cpu.throws) and (cpu.tracks < 255).any()
+    assert np.abs(without.depth.copy_to_host() - depth).max() > 1e-4
+    assert not len(without.throws) and not without.tracks.size

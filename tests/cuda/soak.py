@@ -193,7 +193,7 @@ def clear_lists():
         version = self.version
         lists = make(self, count)
         if self.version != version:
-            for array in self._lists:
+            for array in self._arrays["lists"]:
                 device_memset(array, 0, array.nbytes)
         return lists
 

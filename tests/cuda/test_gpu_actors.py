@@ -195,6 +195,57 @@ def test_the_streets_traffic_and_its_spray_are_those_of_the_cpu(on_gpu, capsys):
               f"{1e3 * times['cpu']:.1f} cpu, {1e3 * times['gpu']:.1f} gpu")  # fmt: skip
 
 
+def test_moving_things_leave_the_water_on_the_device(on_gpu, capsys):
+    """The flooded street from the device's own simulation: water, throws, tracks, frames."""
+    from rainsim.cuda.simulation import simulate
+
+    scene = load_scene("traffic")
+    settings = STREET.replace(level=0.02, scheme="lean")
+    cameras = [resize_to(camera, 320) for camera in scene.cameras]
+    terrain = with_footprints(pipeline.extract_terrain(scene, settings), scene)
+    own, theirs = simulate(terrain, settings), pipeline.simulate(terrain, settings)
+    for _ in range(settings.frames):
+        mine, wanted = next(own), next(theirs)
+        depth = mine.depth.copy_to_host()
+        assert np.abs(depth - wanted.depth).max() < 2e-4
+        assert np.abs(depth - wanted.depth).mean() < 1e-7
+        np.testing.assert_array_equal(mine.throw_id, wanted.throw_id)
+        np.testing.assert_allclose(mine.throws, wanted.throws, rtol=1e-3, atol=1e-7)
+        assert (np.abs(mine.tracks.astype(int) - wanted.tracks) <= 1).mean() > 0.9999
+        for name, volume in wanted.ledger.items():
+            assert mine.ledger[name] == pytest.approx(volume, rel=1e-3, abs=1e-6), name
+        assert abs(mine.ledger["residual"]) < 1e-6
+    assert len(wanted.throws) and (wanted.tracks < 255).any()
+    frames = {}
+    for backend in ("cpu", "cuda"):
+        sequence = pipeline.FrameSequence(scene, terrain, cameras, settings, backend)
+        frames[backend] = [p.copy() for p, _ in sequence.frames(range(settings.frames))]
+    for index, (found, picture) in enumerate(zip(frames["cuda"], frames["cpu"], strict=True)):
+        assert decibel(found, picture) > 40, index
+    again = pipeline.FrameSequence(scene, terrain, cameras, settings, "cuda")
+    ((alone, _),) = again.frames([settings.frames - 1])
+    np.testing.assert_array_equal(alone, frames["cuda"][-1])
+    begin, settings = time.perf_counter(), settings.replace(frames=30)
+    sequence = pipeline.FrameSequence(scene, terrain, cameras, settings, "cuda")
+    times = [time.perf_counter() - begin for _ in sequence.frames(range(30))]
+    alone = own_times(simulate(terrain, settings), 20)
+    with capsys.disabled():
+        print(
+            f"\ntraffic, 320 px, ms a frame with its water: "
+            f"{1e3 * np.median(np.diff(times)[5:]):.1f}; the water alone {alone:.1f}"
+        )
+
+
+def own_times(states, count):
+    """Return the median milliseconds of a state of the device's simulation."""
+    taken = []
+    for _ in range(count):
+        begin = time.perf_counter()
+        _ = next(states).ledger
+        taken.append(time.perf_counter() - begin)
+    return 1e3 * float(np.median(taken[5:]))
+
+
 def test_the_sequence_of_a_run_takes_the_backend(scene):
     """As `rainsim run --backend cuda` calls it; frames by themselves and in one go."""
     camera = scene.cameras[0].resized(320, 240)

@@ -286,12 +286,12 @@ def test_a_timeline_brings_the_sun_back(tmp_path, monkeypatch):
     terrain = extract_terrain(scene, config)
     wet = WetScene(scene, terrain, config, camera)
     assert "fake" in wet.notes
-    covered = wet.capture.dry(camera).color
-    clean = wet.capture.dry(camera, True).color
+    layers = wet.capture.layers(camera)
+    covered, clean = layers.color, wet.capture.captured_color(camera, layers)
     assert wet.set_time(config.at(1.0))
-    sunny = wet.capture.dry(camera).color
+    sunny = wet.capture.layers(camera).color
     off = WetScene(scene, terrain, config.replace(relight="off"), camera)
-    np.testing.assert_array_equal(sunny, off.capture.dry(camera).color)
+    np.testing.assert_array_equal(sunny, off.capture.layers(camera).color)
     np.testing.assert_array_equal(clean, sunny)  # the layer `clean` is the capture at any time
     assert covered.mean() > 1.2 * sunny.mean()
 

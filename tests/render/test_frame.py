@@ -12,7 +12,6 @@ from rainsim.render.frame import (
     WET,
     Frame,
     Pass,
-    inputs_of,
     is_same,
     passes_to,
     reads_of,
@@ -125,6 +124,12 @@ def test_values_are_compared_by_what_they_hold():
     assert is_same(a, a.copy()) and not is_same(a, a + 1) and not is_same(a, a.astype(np.float32))
     assert is_same((a, 1.0), (a.copy(), 1.0)) and not is_same((a, 1.0), (a, 1.0, 2))
     assert is_same(None, None) and not is_same(None, 0) and not is_same([1], [1])
+
+
+def inputs_of(names, passes=PASSES):
+    """The inputs on which buffers depend."""
+    read = {name for each in passes_to(names, passes) for name in each.reads}
+    return (read | set(names)) - {name for each in passes for name in each.writes}
 
 
 def test_every_name_that_is_read_is_an_input_or_is_written_before():

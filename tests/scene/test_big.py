@@ -37,7 +37,8 @@ from rainsim.scene.pages import ALWAYS, Kept, Pages, levels_at
 from rainsim.scene.types import GroundFrame, Scene, Splats
 from rainsim.sensors import drive
 from rainsim.sensors.lidar_model import Lidar
-from rainsim.shading.wet_ground_mirror import RESOLUTION, level_camera, scaled
+from rainsim.shading.lamp_images import scaled
+from rainsim.shading.wet_ground_mirror import RESOLUTION, level_camera
 from rainsim.splatting.coarse import _area
 from rainsim.splatting.prepared import NOBODY
 from rainsim.terrain.pond import without_images

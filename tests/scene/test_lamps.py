@@ -18,7 +18,7 @@ from rainsim.scene.splat_sets import joined
 from rainsim.shading.color import linear_from_display
 from rainsim.shading.composite import tone_curve
 from rainsim.shading.glare import DAZZLES, Glare, point_spread, scattered
-from scenes import SH_BASIS_0, moving_scene, one_splat, tiny_scene
+from scenes import SH_BASIS_0, lamp_scene, moving_scene, one_splat
 
 FOCAL = 200.0
 
@@ -119,23 +119,6 @@ def test_without_lamps_there_is_no_halo():
 
 
 # --- dusk and the wet road ------------------------------------------------------------------------
-
-
-LAMP = (1.06, -0.16, 0.35)  # m, whose image the first camera sees in the water of the dip
-
-
-def lamp_scene():
-    """`tiny_scene` with a lamp over the ground: clipped at white, and shining."""
-    scene = tiny_scene()
-    frame = scene.ground_frame
-    steps = np.linspace(-0.06, 0.06, 5)
-    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
-    place = np.array(LAMP) + np.insert(grid, 0, 0.0, axis=1)
-    glow = joined([one_splat(p, scale=0.02 / frame.meters_per_unit, color=(1.0, 0.8, 0.5))
-                   for p in frame.to_capture(place)])  # fmt: skip
-    centre = frame.to_capture(np.array([LAMP]))[0]
-    lit, _ = with_lamps(glow, [Lamp("brake", centre, 0.3)])
-    return tuple(replace(scene, splats=joined([scene.splats, part])) for part in (glow, lit))
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from rainsim.scene.view import view_of
 from rainsim.shading import lamp_images
 from rainsim.shading.fresnel import SCHLICK
 from rainsim.shading.ground_slopes import GroundSlopes
-from rainsim.shading.lamp_images import LampView, add_lamps, lamps_in, without_lamps
-from rainsim.shading.wet_ground_mirror import level_camera, scaled
+from rainsim.shading.lamp_images import LampView, add_lamps, lamps_in, scaled, without_lamps
+from rainsim.shading.wet_ground_mirror import level_camera
 
 HEIGHT, SLOPE = 1.5, 0.2  # m over the ground, rms slope of the film
 PIXELS = 24, 18

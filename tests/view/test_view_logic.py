@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from rainsim.commands.view import _address_for, _serve
+from rainsim.config.declare import BASES, LIGHT, WATER
 from rainsim.config.preset_files import from_human
 from rainsim.config.preset_writer import preset_text_of
 from rainsim.config.settings import Config, preset_names
-from rainsim.config.tables import HUMAN_KEYS, OPTION_KEYS, PARTS, SLIDERS, si_value
+from rainsim.config.tables import HUMAN_KEYS, OPTION_KEYS, PARTS, SETTINGS, SLIDERS, si_value
 from rainsim.errors import InputError, ParameterError
 from rainsim.scene.camera_path import (
     camera_path_data,
@@ -21,12 +22,12 @@ from rainsim.scene.camera_path import (
     path_keyframes,
     path_moments,
 )
-from rainsim.view import redo, schedule
+from rainsim.view import schedule
 from rainsim.view.clock import Clock
 from rainsim.view.keyframes import Keyframe, moments_of, path_config, smooth_path, timeline_of
 from rainsim.view.page_home import FRUSTUM, behind
 from rainsim.view.schedule import EXACT, SHARP, SMALL, STILL_AFTER, Schedule
-from rainsim.view.session import Viewpoint
+from rainsim.view.session import Viewpoint, out_of_date
 from rainsim.view.threads import ThreadChoice
 from rainsim.view.water_states import SharedWater
 
@@ -202,20 +203,20 @@ def test_a_late_machine_slows_time_and_leaves_no_frame_out():
 
 
 def test_every_setting_has_its_cost():
-    assert set(redo.settings()) == set(redo.NEEDS) | redo.PICTURE
-    assert not set(redo.NEEDS) & redo.PICTURE
+    for one in SETTINGS.values():
+        assert set(one.touches) <= set(BASES)
     for slider in SLIDERS:
-        assert HUMAN_KEYS[slider.key][0] in redo.settings()
+        assert HUMAN_KEYS[slider.key][0] in SETTINGS
 
 
 def test_a_change_makes_no_more_out_of_date_than_it_must():
     base = Config.from_preset("moderate")
-    assert redo.out_of_date(base, base) == ()
-    assert redo.out_of_date(base, base.replace(brightness=2.0, exposure=0.01)) == ()
-    assert redo.out_of_date(base, base.replace(seed=7)) == (redo.WATER, redo.PASSES)
-    assert redo.out_of_date(base, base.replace(cloudiness=0.1)) == (redo.LIGHT, redo.PASSES)
-    assert redo.out_of_date(base, base.replace(rate=0.0)) == (redo.WATER, redo.LIGHT, redo.PASSES)
-    assert redo.out_of_date(base, base.replace(spacing=0.1)) == redo.PARTS
+    assert out_of_date(base, base) == set()
+    assert out_of_date(base, base.replace(brightness=2.0, reflections="ssr")) == set()
+    assert out_of_date(base, base.replace(seed=7)) == {WATER}
+    assert out_of_date(base, base.replace(cloudiness=0.1)) == {LIGHT}
+    assert out_of_date(base, base.replace(rate=0.0)) == {WATER, LIGHT}
+    assert out_of_date(base, base.replace(spacing=0.1)) == set(BASES)
 
 
 # --- the table of controls ------------------------------------------------------------------------

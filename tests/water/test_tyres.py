@@ -43,7 +43,7 @@ from rainsim.scene.folder import read_scene, write_scene
 from rainsim.scene.types import Camera, GroundFrame
 from rainsim.terrain.types import Grid
 from rainsim.water.tyres import FASTEST, LEFT, Tyres
-from scenes import BOX_SIZE, moving_scene
+from scenes import rolling_scene
 
 CONFIG = Config.from_preset("downpour").replace(past=6e-3, extent=1.0, spacing=0.025)
 WHEEL = np.array([[0.0, 0.0, 0.0, 0.2, 0.3]])  # x, y, z, width, radius [m]
@@ -222,14 +222,7 @@ def test_the_account_of_thrown_water_closes(dtype, limit):
 
 @pytest.fixture(scope="module")
 def scene():
-    """The box of `moving_scene` on four wheels."""
-    plain = moving_scene()
-    (actor,) = plain.actors
-    unit = plain.ground_frame.meters_per_unit
-    turn = actor.track.first_seen.rotation.T @ plain.ground_frame.rotation.T
-    at = [(x * BOX_SIZE[0], y * BOX_SIZE[1], 0.0) for x in (0.4, -0.4) for y in (0.4, -0.4)]
-    wheels = np.column_stack([np.array(at) @ turn.T, np.tile([0.05, 0.05], (4, 1))]) / unit
-    return replace(plain, actors=(replace(actor, wheels=wheels),))
+    return rolling_scene()
 
 
 @pytest.fixture(scope="module")

@@ -50,7 +50,7 @@ NEAREST = 0.05  # m, as on the CPU
 def seen_at(x, y, z, sent, scene):
     """Return the depth [m] at which the camera sees a splash there; negative if it does not.
 
-    `sent` is a `streaks.SentView`, and `scene` the `SceneDepth` of the picture.
+    `sent` is a `ShutterView` of device arrays, and `scene` the `SceneDepth` of the picture.
     """
     rotation, lens = sent.rotation, sent.lens
     x, y, z = x - sent.eye[0], y - sent.eye[1], z - sent.eye[2]
@@ -99,7 +99,7 @@ def list_splashes(
     per_list : int
         Blocks of threads for each list.
     velocity : device array of shape (CLASSES, 3), float64 [m/s]
-    sent : SentView
+    sent : ShutterView
     scene : SceneDepth
         For the size of the picture.
     water : WaterDepth
@@ -116,7 +116,7 @@ def list_splashes(
     chosen = cuda.shared.array(THREADS, np.int32)
     depths = cuda.shared.array((THREADS, 2), np.float64)  # of the scene and of the water there
     many = cuda.shared.array(1, np.int32)
-    time, exposure, focal = sent.times[0], sent.times[1], focal_of(sent.lens)
+    time, exposure, focal = sent.time[0], sent.exposure[0], focal_of(sent.lens)
     values, labels = lists.values, lists.labels
     group = cuda.threadIdx.y
     thread = group * GROUP + cuda.threadIdx.x
@@ -164,7 +164,7 @@ def draw_list(count, lines, sent, scene, picture):
     ----------
     count, lines
         As `list_splashes` left them.
-    sent : SentView
+    sent : ShutterView
     scene : SceneDepth
     picture : device array of shape (width * height,), int64
         Added to.
@@ -188,8 +188,6 @@ class Splashes:
         What falls until the exposure's end.
     water_depth : device array of shape (ny, nx), float32 [m]
         Read by `launch`.
-    room : int
-        Lines that there is room for.
 
     Attributes
     ----------
@@ -199,7 +197,7 @@ class Splashes:
         Lines, also those for which there was no room.
     """
 
-    def __init__(self, streaks, recent, water_depth, room=ROOM):
+    def __init__(self, streaks, recent, water_depth):
         self._streaks, self._recent, self.depth = streaks, recent, water_depth
         self.stream = stream = streaks.stream
         self.now = FrameUniforms(stream, {
@@ -207,7 +205,7 @@ class Splashes:
             "closed": ((1,), np.int32),
         })  # fmt: skip
         self.count = self.now["count"]  # blanked by each `send`
-        self.make_room(room)
+        self.make_room(ROOM)
         self.alpha = cuda.device_array(streaks.alpha.shape, np.float32, stream=stream)
 
     def make_room(self, room):
@@ -226,12 +224,11 @@ class Splashes:
 
     def launch(self):
         """Queue the listing and the drawing of the splashes, after the streaks' picture."""
-        self.gather()
-        self.draw()
+        self.gather(self.stream)
+        self.draw(self.stream)
 
-    def gather(self, stream=None):
-        """Queue the listing of the splashes in view, on another stream than its own if given."""
-        stream = self.stream if stream is None else stream
+    def gather(self, stream):
+        """Queue the listing of the splashes in view."""
         self.now.send(stream)
         recent, view, scene = self._recent, self._streaks.view, self._streaks.scene
         water = WaterDepth(self.depth, self.now["film"])
@@ -243,9 +240,8 @@ class Splashes:
         if (drips := self._streaks.drips) is not None:
             drips.gather(recent.surfaces, view, scene, water, self.count, self.lines, stream=stream)
 
-    def draw(self, stream=None):
+    def draw(self, stream):
         """Queue the drawing of the listed splashes, after the streaks' picture."""
-        stream = self.stream if stream is None else stream
         seen = self._streaks
         draw_list[BLOCKS, GROUPS, stream](
             self.count, self.lines, seen.view, seen.scene, seen.picture

@@ -9,7 +9,6 @@ are added up, so that no order matters.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +34,7 @@ from rainsim.particles.line_raster import (
     draw_path,
 )
 from rainsim.particles.shutter_view import (
+    SeenAir,
     ShutterView,
     cube_corners,
     cube_in_view,
@@ -68,49 +68,19 @@ X, Y, Z, X_END, Y_END, Z_END, IS_CLEAR, SHARE, DIAMETER = range(PATH)
 _NEAR = np.float32(NEAR)
 
 
-class SentView(NamedTuple):
-    """A `ShutterView` as device arrays, which a recorded queue may read.
-
-    `times`, of shape (2,), float64 [s], holds when the shutter opens, and for how long.
-    """
-
-    times: object
-    rotation: object
-    eye: object
-    rotation_end: object
-    eye_end: object
-    axes: object
-    axes_end: object
-    lens: object
-    planes: object
-
-
-class CubesInReach(NamedTuple):
-    """The cubes that may be in view: `counts` as in `drops.Columns`, but of cubes, and `SeenAir`.
-
-    All are device arrays.
-    """
-
-    counts: object
-    first: object
-    last: object
-    far: object
-    slack: object
-
-
 @cuda.jit(device=True)
 def view_of(sent):
-    """Return the `ShutterView` that a `SentView` holds."""
+    """Return the `ShutterView` whose times stand in device arrays."""
     return ShutterView(
-        sent.times[0], sent.times[1], sent.rotation, sent.eye, sent.rotation_end, sent.eye_end,
+        sent.time[0], sent.exposure[0], sent.rotation, sent.eye, sent.rotation_end, sent.eye_end,
         sent.axes, sent.axes_end, sent.lens, sent.planes,
     )  # fmt: skip
 
 
 @cuda.jit(device=True)
-def _cube_of(task, air):
+def _cube_of(task, counts, air):
     """Return the class and the place (i, j, k) of cube number `task` of all classes' boxes."""
-    b, rest = class_of(task, air.counts)
+    b, rest = class_of(task, counts)
     deep = air.last[b, 2] - air.first[b, 2] + 1
     wide = air.last[b, 1] - air.first[b, 1] + 1
     k = rest % deep
@@ -119,13 +89,15 @@ def _cube_of(task, air):
 
 
 @cuda_kernel
-def list_drops(air, sent, field, scene, sought_out, places_out, words_out, paths_out):
+def list_drops(counts, air, sent, field, scene, sought_out, places_out, words_out, paths_out):
     """List the drops that may be in view, cube by cube.
 
     Parameters
     ----------
-    air : CubesInReach
-    sent : SentView
+    counts : device array of shape (CLASSES + 1,), int64
+        As in `drops.Columns`, but of cubes.
+    air : SeenAir
+    sent : ShutterView
     field : DropField
         Of device arrays.
     scene : SceneDepth
@@ -143,7 +115,7 @@ def list_drops(air, sent, field, scene, sought_out, places_out, words_out, paths
     many = cuda.shared.array(1, np.int32)
     view, most = view_of(sent), field.count.shape[1]
     thread, lane = cuda.threadIdx.x, cuda.threadIdx.x % GROUP
-    total = air.counts[CLASSES]
+    total = counts[CLASSES]
     batches = (total + THREADS - 1) // THREADS
     for batch in range(cuda.blockIdx.x, batches, cuda.gridDim.x):
         if thread == 0:
@@ -154,7 +126,7 @@ def list_drops(air, sent, field, scene, sought_out, places_out, words_out, paths
         b, i, j, k = 0, air.first[0, 0], air.first[0, 0], air.first[0, 0]
         corner = corner_end = (ZERO, ZERO, ZERO)
         if task < total:
-            b, i, j, k = _cube_of(task, air)
+            b, i, j, k = _cube_of(task, counts, air)
             corner, corner_end = cube_corners(Cube(b, i, j, k), field, view)
             wanted = cube_in_view(
                 corner, corner_end, np.float32(field.cube[b]), cube_radius(b, field, view, air),
@@ -221,7 +193,7 @@ def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, la
     ----------
     sought, places, words
         As `list_drops` left them.
-    sent : SentView
+    sent : ShutterView
     field : DropField
     surfaces : HeightFields
         Both of device arrays.
@@ -232,7 +204,7 @@ def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, la
     large_out : device array of shape (MANY,), int32
         Which they are.
     """
-    time, exposure = sent.times[0], sent.times[1]
+    time, exposure = sent.time[0], sent.exposure[0]
     for n in range(cuda.grid(1), min(sought[0], words.shape[0]), cuda.gridsize(1)):
         b, word = places[n, 0], words[n]
         x, y, z = drop_place(word, Cube(b, places[n, 1], places[n, 2], places[n, 3]), field)
@@ -331,7 +303,7 @@ class Streaks:
         Drops in view that the lists have room for.
     version : int
         Of the lists, see `cuda.graph.new_version`.
-    view : SentView
+    view : ShutterView
     scene : SceneDepth
         Both of device arrays, as the drawing kernels read them.
     drips : cuda.rain.dripping.DripList or None
@@ -343,13 +315,12 @@ class Streaks:
     """
 
     def __init__(self, field, surfaces, width, height, depth, stream=0):
-        self.stream, self.size, self._depth = stream, (width, height), depth
-        self._listed = self._per_cube = None
+        self.stream, self._depth, self._listed = stream, depth, None
         self.surfaces = sent_surfaces(surfaces, stream)
         f4, f8, i8 = np.float32, np.float64, np.int64
         names = {
             "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
-            "times": ((2,), f8), "rotation": ((3, 3), f8), "eye": ((3,), f8),
+            "time": ((1,), f8), "exposure": ((1,), f8), "rotation": ((3, 3), f8), "eye": ((3,), f8),
             "rotation_end": ((3, 3), f8), "eye_end": ((3,), f8), "axes": ((3, 3), f4),
             "axes_end": ((3, 3), f4), "lens": ((7,), f4),
             "planes": ((4, 3), f4), "far": ((CLASSES,), f4), "slack": ((CLASSES,), f8),
@@ -358,17 +329,16 @@ class Streaks:
         self.now = FrameUniforms(stream, names | arrays_of(field))
         tiles = 2, -(-height // DEPTH_TILE), -(-width // DEPTH_TILE)
         self.alpha = cuda.device_array((height, width), np.float32, stream=stream)
-        self.columns = cuda.device_array(width * height, np.float32, stream=stream)
-        self.tile_depth = cuda.device_array(tiles, np.float32, stream=stream)
-        self.room, self._sought, self._paths = 0, (), None
         self._make_room(ROOM)
         self._large = cuda.device_array(MANY, np.int32, stream=stream)
         self.picture = to_device(np.zeros(width * height, np.int64), stream)
         self.view, self._air, self._field = (
             kind(*(self.now[name] for name in kind._fields))
-            for kind in (SentView, CubesInReach, DropField)
+            for kind in (ShutterView, SeenAir, DropField)
         )
-        self.scene = SceneDepth(width, height, self.columns, self.tile_depth)
+        columns = cuda.device_array(width * height, np.float32, stream=stream)
+        tile_depth = cuda.device_array(tiles, np.float32, stream=stream)
+        self.scene = SceneDepth(width, height, columns, tile_depth)
         self.drips = self.spray = None
 
     def update(
@@ -382,9 +352,9 @@ class Streaks:
         sides = np.maximum(air.last - air.first + 1, 0)
         cubes = sides[:, 0] * sides[:, 1] * sides[:, 2] * (air.far > NEAR)
         if field is not self._listed:
-            self._listed, self._per_cube = field, field.listed.density * field.cube**3
+            self._listed = field
             self.now.update(**field.arrays()._asdict())
-        drops = float(cubes @ self._per_cube)
+        drops = float(cubes @ (field.listed.density * field.cube**3))
         wanted = drops + 6 * math.sqrt(drops)
         if wanted > MOST_ROOM:
             raise ParameterError(
@@ -394,8 +364,7 @@ class Streaks:
         while self.room < wanted:
             self._make_room(2 * self.room)
         self.now.host["counts"][1:] = cubes.cumsum()
-        values = view._asdict() | air._asdict()
-        self.now.update(times=(values.pop("time"), values.pop("exposure")), **values)
+        self.now.update(**view._asdict(), **air._asdict())
 
     def _make_room(self, drops):
         """Allocate the lists of drops in view; launches recorded with the old ones are stale."""
@@ -415,12 +384,12 @@ class Streaks:
 
     def draw(self, stream):
         """Queue the picture, whose numbers are sent."""
-        _, rows, columns = self.tile_depth.shape
-        threads = (1, 1) if SIMULATED else (DEPTH_TILE, DEPTH_TILE)
-        read_depth[(columns, rows), threads, stream](self._depth, self.columns, self.tile_depth)
         now, lens, scene = self.now, self.now["lens"], self.scene
+        _, rows, columns = scene.tiles.shape
+        threads = (1, 1) if SIMULATED else (DEPTH_TILE, DEPTH_TILE)
+        read_depth[(columns, rows), threads, stream](self._depth, scene.columns, scene.tiles)
         list_drops[BLOCKS, THREADS, stream](
-            self._air, self.view, self._field, scene, *self._sought, self._paths
+            now["counts"], self._air, self.view, self._field, scene, *self._sought, self._paths
         )
         follow[BLOCKS, THREADS, stream](
             *self._sought, self.view, self._field, self.surfaces, self._paths, now["many"],
@@ -440,7 +409,7 @@ class Streaks:
 
     def resolve(self, alpha_out, stream):
         """Queue the conversion of the drawn picture into alpha, and blank the picture."""
-        width, height = self.size
+        height, width = alpha_out.shape
         blocks, threads = (-(-width // TILE), -(-height // TILE)), (TILE, 8)
         threads = (4, 1) if SIMULATED else threads
         resolve[blocks, threads, stream](self.picture, alpha_out)

@@ -69,12 +69,12 @@ def draw_drips(page, sent, scene, picture):
     Parameters
     ----------
     page : Page
-    sent : SentView
+    sent : ShutterView
     scene : SceneDepth
     picture : device array of shape (width * height,), int64
         Added to.
     """
-    time, exposure, table, view = sent.times[0], sent.times[1], page.table, view_of(sent)
+    time, exposure, table, view = sent.time[0], sent.exposure[0], page.table, view_of(sent)
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
     for n in range(first, min(page.book[LISTED], len(table)), cuda.gridDim.x * cuda.blockDim.y):
         if min(table[n, END], time + exposure) > max(table[n, BEGIN], time):
@@ -97,7 +97,7 @@ def list_drip_splashes(page, surfaces, sent, scene, water, count_out, lines_out)
     sent, scene, water, count_out, lines_out
         As `splash_pass.list_splashes` has them.
     """
-    time, exposure, focal = sent.times[0], sent.times[1], focal_of(sent.lens)
+    time, exposure, focal = sent.time[0], sent.exposure[0], focal_of(sent.lens)
     table = page.table
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
     for n in range(first, min(page.book[LISTED], len(table)), cuda.gridDim.x * cuda.blockDim.y):

@@ -12,7 +12,7 @@ import numpy as np
 from rainsim.cuda.driver import Event
 from rainsim.cuda.drops import Impacts, room_for
 from rainsim.cuda.graph import Graph
-from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.errors import BackendError
 from rainsim.particles.splash import LONGEST_LIFE
 
@@ -83,6 +83,12 @@ class RecentImpacts(Impacts):
         for number in range(newest - len(self._seen) + 2, newest):
             self._say(number)
             super().launch()
+            self._wait()
+
+    def _wait(self):
+        if self.stream and not SIMULATED:
+            self.stream.synchronize()
+        else:
             cuda.synchronize()
 
     def launch(self, stream=None):

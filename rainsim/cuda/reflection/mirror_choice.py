@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from rainsim.constants import ZERO
-from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.reflection.mirror_choice import LEAST_SHARE, LEVEL_STEP, LEVEL_STEPS
+from rainsim.cuda.jit import cuda, cuda_kernel, pinned
+from rainsim.reflection.mirror_choice import LEAST_SHARE, LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS
 from rainsim.scene.view import pixel_ray, view_from
 
 BINS = 4096  # of LEVEL_STEP: 8 m of water heights
@@ -39,7 +39,7 @@ def count_heights(hit, coverage, camera, first_bin, count_out, extent_out):
     A block of THREADS threads takes COUNT_ROWS rows of as many columns; its counts are added up in
     shared memory, and each thread adds runs of equal heights at once: level water is one bin.
 
-    camera : CameraArrays
+    camera : View
     extent_out : ndarray of shape (4,), int32
         First column and row, last column and row.
     """
@@ -167,3 +167,50 @@ def choose_levels(count, first_bin, most, everywhere, served_out, wanted_out):
         cuda.syncthreads()
     if tid == 0:
         wanted_out[0] = wanted
+
+
+class LevelChoice:
+    """The levels at which the water of one picture after another is mirrored.
+
+    Parameters
+    ----------
+    reflections : {"auto", "mirror", "ssr"}
+        "mirror" takes one level for all water, "ssr" none.
+    lowest : float [m]
+        Of the ground that carries the water.
+
+    Attributes
+    ----------
+    most : int
+        Levels that a picture may have.
+    served : device array of shape (most or 1, 3), float64 [m]
+        See `choose_levels`.
+    extent : device array of shape (4,), int32
+        See `count_heights`.
+    """
+
+    def __init__(self, reflections, lowest):
+        self.most = {"auto": MOST_MIRRORS, "mirror": 1, "ssr": 0}[reflections]
+        self._everywhere = reflections == "mirror"
+        self._first_bin = math.floor(lowest / LEVEL_STEP) - 8
+        self._count = cuda.device_array(BINS, np.int32)
+        self.served = cuda.device_array((max(self.most, 1), 3), np.float64)
+        self.extent = cuda.device_array(4, np.int32)
+        self._wanted, self._wanted_seen = cuda.device_array(1, np.int32), pinned(1, np.int32)
+
+    @property
+    def wanted(self):
+        """Number of levels that the finished picture asked for, at most `most`."""
+        return min(int(self._wanted_seen[0]), self.most)
+
+    def launch(self, hit, coverage, camera, stream):
+        """Queue the choice; `hit` and `coverage` as `ray_water.meet_water` left them."""
+        height, width = coverage.shape
+        clear_counts[BINS // THREADS, THREADS, stream](self._count, self.extent)
+        count_heights[(-(-width // THREADS), -(-height // COUNT_ROWS)), THREADS, stream](
+            hit, coverage, camera, self._first_bin, self._count, self.extent
+        )
+        choose_levels[1, THREADS, stream](
+            self._count, self._first_bin, self.most, self._everywhere, self.served, self._wanted
+        )
+        self._wanted.copy_to_host(self._wanted_seen, stream=stream)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,21 +19,13 @@ from rainsim.cuda import free_memory
 from rainsim.cuda.driver import Event
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
-from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel, pinned
+from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
-from rainsim.cuda.reflection.mirror_choice import (
-    BINS,
-    COUNT_ROWS,
-    THREADS,
-    UNUSED,
-    choose_levels,
-    clear_counts,
-    count_heights,
-)
+from rainsim.cuda.reflection.mirror_choice import THREADS, UNUSED, LevelChoice
 from rainsim.cuda.shading.wet_pass import grade_layers
 from rainsim.cuda.splatting import project
 from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
-from rainsim.reflection.mirror_choice import LEVEL_STEP, MOST_MIRRORS, merged_cells
+from rainsim.reflection.mirror_choice import merged_cells
 from rainsim.reflection.water_pass import WINDOW_SLOPE, WINDOW_STEP
 from rainsim.scene.cameras import mirrored_camera
 from rainsim.splatting.project import FRUSTUM_MARGIN
@@ -167,20 +160,6 @@ def coarsen(window, picture, coarse_out):
         side //= 2
 
 
-class _MirroredRasterizer(Rasterizer):
-    """A rasterizer whose camera is aimed on the device."""
-
-    def aim_by(self, queue):
-        """Let queue(now) put the camera's numbers into a device array, at each launch."""
-        self._aim = queue
-
-    def _take_numbers(self, *view):
-        """Leave the camera's numbers to the device."""
-
-    def _bring_numbers(self):
-        self._aim(self._now)
-
-
 class MirrorPass(NamedTuple):
     """A mirrored picture's rasterizer, stream and arrays, which no other picture shares.
 
@@ -206,81 +185,61 @@ class Mirrors:
 
     Parameters
     ----------
-    renderer : rainsim.cuda.render.device_frame.DeviceFrame
+    frame : rainsim.cuda.render.device_frame.DeviceFrame
         Owns the buffers of the picture itself.
-    name : {"auto", "mirror", "ssr"}
-        Of the reflections: "mirror" takes one level for all water, "ssr" none.
+    reflections : {"auto", "mirror", "ssr"}
+        See `LevelChoice`.
 
     Attributes
     ----------
-    passes : int
-        That a queue holds.
-    picture : device array of shape (passes, rows, columns, 3), float32
-        Only the window is drawn.
-    coarse : device array of shape (passes, rows, columns // 2, 3), float32
-        Coarser resolutions of the pictures, see `rainsim.numerics.mipmap`.
-    depth : device array of shape (passes, rows, columns), float32 [m]
-    window : device array of shape (6,), float32
-        Lens, width and height of the mirrored pictures, all alike.
-    range : device array of shape (most, 3), float32 [m]
-        Level of each mirror and the heights from which and below which water looks into it.
+    arrays : MirrorArrays
+        The pictures as kernels take them, one for each pass of a queue; only the window is drawn.
     """
 
-    def __init__(self, frame, name):
-        self.frame, self.stream, self.name = frame, frame.stream, name
-        self.most = {"auto": MOST_MIRRORS, "mirror": 1, "ssr": 0}[name]
-        self.passes = 0
-        self._first_bin = (
-            math.floor(float(frame.conductor.ground.terrain.bed.min()) / LEVEL_STEP) - 8
-        )
-        self._count = cuda.device_array(BINS, np.int32)
-        rows = max(self.most, 1)
-        self._served = cuda.device_array((rows, 3), np.float64)
-        empty = np.tile(np.array([0, UNUSED, -UNUSED], np.float32), (rows, 1))
-        self.range = cuda.to_device(empty)
-        self._wanted, self._wanted_seen = cuda.device_array(1, np.int32), pinned(1, np.int32)
-        self._now = FrameUniforms(self.stream, {
+    def __init__(self, frame, reflections):
+        self._frame, self._stream = frame, frame.stream
+        self._levels = LevelChoice(reflections, float(frame.conductor.ground.terrain.bed.min()))
+        self._now = FrameUniforms(frame.stream, {
             "camera": ((2, project.CAMERA), np.float64), "turn": ((3, 3), np.float32),
             "step": ((1,), np.float64),
         })  # fmt: skip
-        self._numbers, self._turn = self._now["camera"], self._now["turn"]
+        empty = np.tile(np.array([0, UNUSED, -UNUSED], np.float32), (max(self._levels.most, 1), 1))
+        window = np.array([1, 1, 0, 0, 1, 1], np.float32)
+        self.arrays = MirrorArrays(
+            cuda.to_device(empty), cuda.to_device(window), self._now["turn"], None, None, None
+        )
         self._forked = Event()
-        self._extent = cuda.device_array(4, np.int32)
-        self.window = cuda.to_device(np.array([1, 1, 0, 0, 1, 1], np.float32))
-        self._each = []  # `MirrorPass`
-        self.room_for(1, 1)
+        self._passes = []  # `MirrorPass`
+        self._mirrored = None  # what the rasterizers are updated with
+        self.forget_size()
 
-    def room_for(self, height, width):
-        """Allocate the pictures, for a camera's picture of that size."""
-        self._picture_size = height, width
+    def forget_size(self):
+        """Let go of the pictures: the camera's are of another size from now on."""
         self._allocate(1, 1)
 
     def _allocate(self, rows, columns):
-        self._size = rows, columns
-        passes = max(self.passes, 1)
-        self.picture = self.coarse = self.depth = self._clearance = (
-            None  # freed before more is asked for
+        passes, f4 = max(len(self._passes), 1), np.float32
+        self.arrays = self.arrays._replace(picture=None, coarse=None, depth=None)
+        self._clearance = None  # freed before more is asked for
+        self.arrays = self.arrays._replace(
+            picture=cuda.device_array((passes, rows, columns, 3), f4),
+            coarse=cuda.device_array((passes, *coarse_shape(rows, columns)), f4),
+            depth=cuda.device_array((passes, rows, columns), f4),
         )
-        self.picture = cuda.device_array((passes, rows, columns, 3), np.float32)
-        self.coarse = cuda.device_array((passes, *coarse_shape(rows, columns)), np.float32)
-        self.depth = cuda.device_array((passes, rows, columns), np.float32)
-        self._clearance = cuda.device_array((passes, rows, columns), np.float32)
-        self._no_film, self._version = self._clearance[0, :0], new_version()
+        self._clearance = cuda.device_array((passes, rows, columns), f4)
+        self._version = new_version()
 
     def update(self, camera, capture, step):
         """Take over the camera that is mirrored in a `DrawnCapture`, and the `mirror_step`."""
-        if not self.most:
+        if not self._levels.most:
             return
         frame, largest = capture.frame, largest_window(camera)
         plane, mirrored = mirrored_camera(camera, frame, 0.0)
         mirrored = replace(mirrored, width=largest[1], height=largest[0])
         turn, up = mirrored.camera_from_world[:3, :3], frame.rotation[2]
         numbers = self._now.host["camera"]
-        numbers[0] = self.frame.rasterizer.numbers_of(
-            mirrored,
-            capture.near,
-            plane=plane,
-            detail=merged_cells(capture.merge, step),
+        numbers[0] = self._frame.rasterizer.numbers_of(
+            mirrored, capture.near, plane=plane, detail=merged_cells(capture.merge, step)
         )
         # A metre higher the mirrored camera is two metres higher, and the plane one.
         more = 1.0 / frame.meters_per_unit
@@ -290,114 +249,89 @@ class Mirrors:
         self._now.host["step"][0] = step
         self._now.host["turn"][...] = frame.rotation @ turn.T
         self._mirrored = mirrored, capture.near, plane
-        if self.passes and (self._size != largest or len(self.picture) != self.passes):
+        if self._passes and self.arrays.depth.shape != (len(self._passes), *largest):
             self._allocate(*largest)
-        for rasterizer in self.rasterizers:
+        for rasterizer in self._rasterizers:
             rasterizer.update(*self._mirrored)
 
     @property
-    def rasterizers(self):
-        """The rasterizers of all mirror passes."""
-        return [each.rasterizer for each in self._each]
+    def _rasterizers(self):
+        return [each.rasterizer for each in self._passes]
 
     @property
     def apart(self):
         """Whether the passes share no memory with the picture itself, so may be drawn beside it."""
-        own = self.frame.rasterizer.workspace
-        return all(rasterizer.workspace is not own for rasterizer in self.rasterizers)
-
-    @property
-    def arrays(self):
-        """The pictures as kernels take them."""
-        return MirrorArrays(
-            self.range, self.window, self._turn, self.picture, self.coarse, self.depth
-        )
+        own = self._frame.rasterizer.workspace
+        return all(rasterizer.workspace is not own for rasterizer in self._rasterizers)
 
     @property
     def queue(self):
         """The values that a recorded queue depends on."""
-        return self._version, *(rasterizer.queue for rasterizer in self.rasterizers)
+        return self._version, *(rasterizer.queue for rasterizer in self._rasterizers)
 
     def grow(self):
         """Make the room that the finished frame wanted; return whether it lacked any."""
-        lacking = False
-        wanted = min(int(self._wanted_seen[0]), self.most)
-        while self.passes < wanted:
-            self._each.append(self._new_pass())
-            self.passes += 1
-            lacking = True
+        lacking = len(self._passes) < self._levels.wanted
+        while len(self._passes) < self._levels.wanted:
+            self._passes.append(self._new_pass())
         if lacking:
             mirrored = self._mirrored[0]
             self._allocate(mirrored.height, mirrored.width)
-            for rasterizer in self.rasterizers:
+            for rasterizer in self._rasterizers:
                 rasterizer.update(*self._mirrored)
-        full = [rasterizer for rasterizer in self.rasterizers if rasterizer.overflows()]
-        for rasterizer in full:
-            rasterizer.make_room()
-        return lacking or bool(full)
+        return any([lacking, *[rasterizer.grow() for rasterizer in self._rasterizers]])
 
     def make_ahead(self):
         """Make room where little is left, and free the room that pictures in turn left unused."""
-        for rasterizer in self.rasterizers:
-            if rasterizer.count_picture() or rasterizer.is_tight():
-                rasterizer.make_room()
+        for rasterizer in self._rasterizers:
+            rasterizer.make_ahead()
 
     def _new_pass(self):
         """Return one more pass: beside the others, with memory of its own, if there is plenty."""
-        own, stream = self.frame.rasterizer, self.stream
+        own, stream, eye = self._frame.rasterizer, self._stream, cuda.device_array(3, np.float32)
         roomy = own.workspace.size < SPARED * free_memory()
-        if roomy and self._each:
+        if roomy and self._passes:
             stream = cuda.stream()
-        rasterizer = _MirroredRasterizer(
+        rasterizer = Rasterizer(
             own.splats, stream, workspace=None if roomy else own.workspace,
-            first_room=own.entries, leading=True,
+            first_room=own.room.entries, leading=True,
+            aim=partial(self._aim, len(self._passes), stream, eye),
         )  # fmt: skip
-        eye = cuda.device_array(3, np.float32)
-        rasterizer.aim_by(self._aim(self.passes, stream, eye))
         return MirrorPass(rasterizer, stream, eye, Event())
 
-    def _aim(self, mirror, stream, eye):
-        def queue(now):
-            aim[1, 64, stream](
-                self._served, mirror, self._numbers, self._now["step"],
-                self.frame.uniforms["eye"], self._extent, now, eye, self.range, self.window
-            )  # fmt: skip
+    def _aim(self, mirror, stream, eye, now):
+        aim[1, 64, stream](
+            self._levels.served, mirror, self._now["camera"], self._now["step"],
+            self._frame.uniforms["eye"], self._levels.extent, now, eye, self.arrays.range,
+            self.arrays.window,
+        )  # fmt: skip
 
-        return queue
-
-    def launch(self, hit, coverage):
-        """Queue the choice of levels and the passes."""
-        if not self.most:
+    def launch(self, stream):
+        """Queue the choice of levels and the passes, on the frame's stream."""
+        if not self._levels.most:
             return
-        height, width = self._picture_size
-        clear_counts[BINS // THREADS, THREADS, self.stream](self._count, self._extent)
-        count_heights[(-(-width // THREADS), -(-height // COUNT_ROWS)), THREADS, self.stream](
-            hit, coverage, self.frame.camera_arrays, self._first_bin, self._count, self._extent,
-        )  # fmt: skip
-        choose_levels[1, THREADS, self.stream](
-            self._count, self._first_bin, self.most, self.name == "mirror", self._served,
-            self._wanted,
-        )  # fmt: skip
-        self._wanted.copy_to_host(self._wanted_seen, stream=self.stream)
+        frame, arrays = self._frame, self.arrays
+        self._levels.launch(frame["hit"], frame["coverage"], frame.view, stream)
         self._now.send()
-        self._forked.record(self.stream)
-        for mirror, (rasterizer, stream, eye, done) in enumerate(self._each):
-            if stream is not self.stream:
-                self._forked.wait(stream)
+        self._forked.record(stream)
+        size = arrays.depth.shape[1:]
+        rows, columns = (-(-side // (2 * SQUARE_CELLS)) for side in size)
+        for mirror, (rasterizer, lane, eye, done) in enumerate(self._passes):
+            if lane is not stream:
+                self._forked.wait(lane)
             rasterizer.launch()
             grade_layers(
-                self.frame, rasterizer, self._size, self._turn, eye, self.picture[mirror],
-                self.depth[mirror], self._clearance[mirror], self._no_film, stream,
+                frame, rasterizer, size, arrays.ground_from_camera, eye, arrays.picture[mirror],
+                arrays.depth[mirror], self._clearance[mirror], self._clearance[0, :0], lane,
             )  # fmt: skip
-            rows, columns = (-(-side // (2 * SQUARE_CELLS)) for side in self._size)
-            coarsen[(columns, rows), THREADS, stream](
-                self.window, self.picture[mirror], self.coarse[mirror]
+            coarsen[(columns, rows), THREADS, lane](
+                arrays.window, arrays.picture[mirror], arrays.coarse[mirror]
             )
-            if stream is not self.stream:
-                done.record(stream)
-        for each in self._each:
-            if each.stream is not self.stream:
-                each.done.wait(self.stream)
+            if lane is not stream:
+                done.record(lane)
+        for each in self._passes:
+            if each.stream is not stream:
+                each.done.wait(stream)
 
 
 def largest_window(camera):

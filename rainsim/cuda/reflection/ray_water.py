@@ -15,7 +15,7 @@ from rainsim.scene.view import pixel_ray, view_from
 def meet_water(depth, camera, water_map, highest, cover, hit_out, coverage_out):
     """Find where each pixel's ray meets the water and how much it covers; see `ray_water`.
 
-    camera : CameraArrays
+    camera : View
     highest : device array of shape (1,), float32 [m]
     """
     column, row = cuda.grid(2)

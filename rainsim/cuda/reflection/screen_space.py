@@ -67,7 +67,7 @@ def find_hits(hit, coverage, tall, bounds, camera, settings, mirror_range, dista
 
     Parameters
     ----------
-    camera : CameraArrays
+    camera : View
     settings : device array of shape (3,), float32
         Of `ssr.MarchSettings`.
     mirror_range : device array of shape (k, 3), float32 [m]

@@ -38,7 +38,7 @@ def shade_water(
     background : Background
     tall : device array of shape (height, width), float32 [m]
         As `screen_space.keep_tall` left it.
-    camera : CameraArrays
+    camera : View
     water_map : WaterMap
     tops : TopMaps
     ripples : Ripples

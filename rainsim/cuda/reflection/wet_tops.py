@@ -13,7 +13,7 @@ from rainsim.shading.wetness import off_ground_from
 def meet_tops(depth, camera, tops, rain, hit_out, coverage_out):
     """Add the wet tops to the hits of `ray_water.meet_water`; see `reflection.wet_tops`.
 
-    camera : CameraArrays
+    camera : View
     rain : device array of shape (fields,), float32
         An `OffGroundWetness`.
     """

@@ -1,8 +1,7 @@
 """Twin of `render.actor_splats`: for each frame the data of actors that moved go to the device.
 
 The host puts the actors, finds the map that drops meet, what actors shelter and what tyres throw,
-as for frames of the CPU; the static set stays where it is. The water is that of the CPU's
-simulation.
+as for frames of the CPU; the static set stays where it is.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class AovReader:
         inputs.put("throws", (state.throws, state.throw_id))
         if self._rasterizer is None:
             own = frame.rasterizer
-            self._rasterizer = Rasterizer(own.splats, own.stream, first_room=own.entries)
+            self._rasterizer = Rasterizer(own.splats, own.stream, first_room=own.room.entries)
         capture.rasterizer = self._rasterizer
         try:
             inputs.make(names, self._passes.work)

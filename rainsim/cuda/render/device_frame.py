@@ -18,7 +18,7 @@ from rainsim.particles.fog import FOG_STEPS
 from rainsim.reflection.ray_water import COVERING_DEPTHS
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_pass import March
-from rainsim.scene.view import CameraArrays
+from rainsim.scene.view import view_of_arrays
 from rainsim.shading.grading import Look
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.ssr import bounds_of
@@ -149,11 +149,13 @@ class DeviceFrame:
 
     def _send_colors(self, drawn):
         self.rasterizer.splats.send_colors(drawn)
-        self.passes.ground_light.send_colors()
+        if (level := self.passes.ground_light.level) is not None:
+            level.send_colors()
 
     def _send_actors(self, _placed):
         self.rasterizer.send_actors()
-        self.passes.ground_light.send_actors()
+        if (level := self.passes.ground_light.level) is not None:
+            level.send_actors()
 
     def _take_state(self, state):
         """List the copies of the water and its ripples to the device, unless they are there."""
@@ -186,8 +188,9 @@ class DeviceFrame:
     def _allocate(self):
         """Allocate the buffers of a picture of the present size."""
         height, width = self.size
-        f4, apart = np.float32, self.passes.ground_light.apart
-        self._buffers["cover"] = self.passes.ground_light.room_for(height, width)
+        f4, apart = np.float32, self.passes.ground_light.level is not None
+        cover = cuda.device_array((height if apart else 1, width), f4)
+        self._buffers["cover"] = cover if apart else cover[:0]
         for name in ("picture", "shown", *(["below"] if apart else [])):
             self._buffers[name] = cuda.device_array((height, width, 3), f4)
         if not apart:
@@ -219,10 +222,9 @@ class DeviceFrame:
     # ---- as kernels take it
 
     @property
-    def camera_arrays(self):
-        """The camera as kernels take it."""
-        n = self.uniforms
-        return CameraArrays(n["turn"], n["eye"], n["lens"])
+    def view(self):
+        """The `View` of the camera as kernels take it."""
+        return view_of_arrays(*(self.uniforms[name] for name in ("turn", "eye", "lens")))
 
     @property
     def tops(self):

@@ -49,6 +49,103 @@ class Flight:
         return self.shot[1]
 
 
+class Recordings:
+    """The recorded queues of the frames of a device, as long as nothing changes that they hold.
+
+    Parameters
+    ----------
+    frame : DeviceFrame
+    shore : numba.cuda.stream
+        That the water's surface is found on.
+
+    Attributes
+    ----------
+    splats, dry, still : Graph or None
+        What is splatted, what else needs no water, and that of a still camera: the uniforms alone.
+    """
+
+    def __init__(self, frame, shore):
+        self._frame, self._shore = frame, shore
+        self._recorded_for = None  # what the queues depended on
+        self.splats = self.dry = self.still = None
+        self._wet, self._surfaces = {}, {}  # by the page of the simulation they show
+
+    @property
+    def is_stale(self):
+        """Whether the queues no longer fit."""
+        return self._recorded_for != self._frame.dependencies()
+
+    def leave_water(self):
+        """Drop the queues that show the water of a simulation."""
+        self._recorded_for, self._surfaces = None, {}
+
+    def renew(self):
+        """Drop what no longer fits; record what needs no water."""
+        if self.is_stale:
+            self._recorded_for, self.dry, self._wet = self._frame.dependencies(), None, {}
+        if self.dry is None:
+            self._record_dry()
+
+    def _record_dry(self):
+        frame, queue = self._frame, self._frame.passes.lanes.queue
+        splat = partial(queue, SPLAT, frame.ahead)
+        graded = chain([frame.uniforms.send, partial(queue, DRY, frame.stream)])
+        frame.stream.synchronize()
+        splat()  # compiles, and allocates what only then is known
+        frame.ahead.synchronize()
+        graded()
+        frame.stream.synchronize()
+        self.splats = Graph(frame.ahead, splat)
+        self.dry = Graph(frame.stream, graded)
+        self.still = Graph(frame.stream, frame.uniforms.send)
+
+    def surface(self, page):
+        """Return the queue of the water's surface, of a page of the simulation."""
+        if page not in self._surfaces:
+            queue = partial(self._frame.passes.lanes.queue, SURFACE, self._shore)
+            queue()  # compiles
+            self._shore.synchronize()
+            self._surfaces[page] = Graph(self._shore, queue)
+        return self._surfaces[page]
+
+    def wet(self, page):
+        """Return the queue of all else, of a page of the simulation."""
+        if page not in self._wet:
+            passes, stream = self._frame.passes, self._frame.stream
+            queue = chain([partial(passes.lanes.queue, WET, stream), passes.rain.count_lines])
+            if not self._wet:
+                queue()  # compiles
+                stream.synchronize()
+            self._wet[page] = Graph(stream, queue)
+        return self._wet[page]
+
+
+class HostPictures:
+    """Two pictures on the host, which those of the device are copied to in turn."""
+
+    def __init__(self):
+        self._stream, self.copied = cuda.stream(), Event()
+        self._pictures, self._count = (), 0
+
+    def room_for(self, size):
+        """Allocate pictures of another size, (height, width) [px]."""
+        shape = (*size, 3)
+        if not self._pictures or self._pictures[0].shape != shape:
+            self._pictures = [pinned(shape, np.uint8) for _ in range(2)]
+
+    @property
+    def last(self):
+        """The picture copied last, ndarray of shape (height, width, 3), uint8."""
+        return self._pictures[self._count % 2]
+
+    def copy(self, frame, composed):
+        """Queue the copy of a `DeviceFrame`'s picture, once it is `composed`, an Event."""
+        composed.wait(self._stream)
+        self._count += 1
+        frame.copy_image(self.last, self._stream)
+        self.copied.record(self._stream)
+
+
 class FrameQueue:
     """Queues frames on the device and finishes them on the host.
 
@@ -58,38 +155,33 @@ class FrameQueue:
 
     Attributes
     ----------
+    pictures : HostPictures
     done : Flight or None
         The frame that was finished last.
     """
 
     def __init__(self, frame):
         self.frame, self.stream = frame, frame.stream
-        self._copier, self._shore = cuda.stream(), cuda.stream()
-        self._composed, self._copied, self._surfaced = (Event() for _ in range(3))
-        self._splatted, self._graded = Event(), Event()
-        self._recorded_for = None  # what the recorded queues depended on
+        self._shore, self.pictures = cuda.stream(), HostPictures()
+        self._recorded = Recordings(frame, self._shore)
+        self._composed, self._surfaced, self._splatted, self._graded = (Event() for _ in range(4))
         self._simulation = None  # whose water they show, on the device
-        self._splats = self._dry = self._still = self._last = None  # recorded queues
-        self._wet, self._surfaces = {}, {}  # recorded, by the page of the simulation they show
         self._next = self._flight = self.done = None
         self._kept = None  # the flight whose picture without water is on the device
-        self._drawn = 0
-        self._images, self._image_size = (), None
-
-    @property
-    def image(self):
-        """The picture drawn last, host array (height, width, 3) uint8; the next is another."""
-        return self._images[self._drawn % 2]
+        self._last = None  # of the recorded queues, the one that brought that
 
     def _fits(self, shot):
-        """Return whether a shot has the size and the simulation of the frames before."""
+        """Return whether a shot has size and simulation of the frames before, and follows them."""
         camera, state, _ = shot
         size = camera.height, camera.width
-        return self.frame.size == size and simulation_of(state) is self._simulation
+        simulation = simulation_of(state)
+        if self.frame.size != size or simulation is not self._simulation:
+            return False
+        return simulation is None or simulation.follows(state.step)
 
     def draw(self, shot):
         """Draw a shot (camera, state, camera_end) and wait for it."""
-        self._copied.synchronize()  # a sequence may have been left in the middle
+        self.pictures.copied.synchronize()  # a sequence may have been left in the middle
         self._update(shot)
         self._begin()
         self._go_on()
@@ -106,18 +198,19 @@ class FrameQueue:
             Called as soon as a shot is finished.
         """
         before = None
-        self._copied.synchronize()
+        self.pictures.copied.synchronize()
         for shot in shots:
             if before is not None and not self._fits(shot):
                 self._finish(before)
                 yield report()
                 before = None
+                self._keep_state(False)
             if self.frame.size is None:
                 self.draw(shot)
                 yield report()
                 continue
             if (simulation := simulation_of(shot[1])) is not None:
-                simulation.begin(shot[1].index)  # the host prepares the frame meanwhile
+                simulation.begin(shot[1].step)  # the host prepares the frame meanwhile
             self._update(shot)
             early = before is not None and self._may_overlap()
             if early:
@@ -125,33 +218,39 @@ class FrameQueue:
             if before is not None:
                 self._finish(before, early)
                 finished = report()
-            if not early or self._is_stale():
+            if not early or self._recorded.is_stale:
                 self._begin()
             self._go_on()
             if before is not None:
                 yield finished
             before = self._flight
+            self._keep_state(True)
         if before is not None:
             self._finish(before)
+            self._keep_state(False)
             yield report()
+
+    def _keep_state(self, is_shown):
+        """Tell the simulation whether it must keep the state of the frame before."""
+        if self._simulation is not None:
+            self._simulation.is_shown = is_shown
 
     def _update(self, shot):
         """Prepare the next frame; the device may still be drawing the one before, if that fits."""
         if (simulation := simulation_of(shot[1])) is not self._simulation:
-            self._simulation, self._recorded_for, self._surfaces = simulation, None, {}
+            self._simulation = simulation
+            self._recorded.leave_water()
             self.frame.leave_water()
         self.frame.update(*shot)
         self._next = Flight(shot, self.frame.conductor.wet_scene.changes)
-        if self._image_size != self.frame.size:
-            self._image_size = self.frame.size
-            self._images = [pinned((*self.frame.size, 3), np.uint8) for _ in range(2)]
+        self.pictures.room_for(self.frame.size)
 
     def _may_overlap(self):
         """Return whether the next frame may begin before the last is checked for lack of room."""
-        if self._dry is None or self.frame.pending or self._is_stale():
+        if self._recorded.dry is None or self.frame.pending or self._recorded.is_stale:
             return False
         self._last.wait()  # for the counts of the frame that is being drawn
-        return not self.frame.passes.dry_is_amiss()
+        return not any([splats.is_amiss() for splats in self.frame.passes.dry_rasterizers()])
 
     def _begin(self):
         """Queue the next frame's launches that need no water, and the step of its simulation."""
@@ -162,7 +261,7 @@ class FrameQueue:
         self.frame.pending = []
         self._launch_dry(self._is_still())
         if (simulation := simulation_of(state)) is not None:
-            simulation.begin(state.index)
+            simulation.begin(state.step)
         self._launch_surface()
 
     def _is_still(self):
@@ -170,46 +269,25 @@ class FrameQueue:
         kept, new = self._kept, self._flight
         if kept is None or kept.shot[0] is not new.shot[0] or kept.look != new.look:
             return False
-        return not self._is_stale()
-
-    def _is_stale(self):
-        """Return whether the recorded queues no longer fit."""
-        return self._recorded_for != self.frame.dependencies()
+        return not self._recorded.is_stale
 
     def _launch_dry(self, still=False):
         """Queue the launches that need no water, of a `still` camera the uniforms only."""
-        if self._is_stale():
-            self._recorded_for, self._dry, self._wet = self.frame.dependencies(), None, {}
+        self._recorded.renew()
         frame, ahead = self.frame, self.frame.ahead
-        if self._dry is None:
-            self._record_dry()
         if self._last is not None:
             self._last.wait()  # its pinned arrays may still be read
-        self._last = self._still if still else self._dry
+        self._last = self._recorded.still if still else self._recorded.dry
         if not still:
             self._graded.wait(ahead)  # the frame before is made of what is splatted until then
             if not frame.passes.mirrors.apart:
                 self._composed.wait(ahead)
-            self._splats.launch()
+            self._recorded.splats.launch()
             self._splatted.record(ahead)
             self._splatted.wait(self.stream)
         self._last.launch()
         self._graded.record(self.stream)
         self._kept = self._flight
-
-    def _record_dry(self):
-        """Record the queues of the launches that need no water."""
-        frame, queue = self.frame, self.frame.passes.lanes.queue
-        splat = partial(queue, SPLAT, frame.ahead)
-        graded = chain([frame.uniforms.send, partial(queue, DRY, self.stream)])
-        self.stream.synchronize()
-        splat()  # compiles, and allocates what only then is known
-        frame.ahead.synchronize()
-        graded()
-        self.stream.synchronize()
-        self._splats = Graph(frame.ahead, splat)
-        self._dry = Graph(self.stream, graded)
-        self._still = Graph(self.stream, frame.uniforms.send)
 
     def _launch_surface(self):
         """Queue the surface of the water of the frame that has begun, beside its splatting."""
@@ -219,12 +297,7 @@ class FrameQueue:
             simulation.before(self._shore, falls=False)
             passes.surface.depth = state.depth
         self._composed.wait(self._shore)  # the frame before reads the last surface until then
-        if page not in self._surfaces:
-            queue = partial(passes.lanes.queue, SURFACE, self._shore)
-            queue()  # compiles
-            self._shore.synchronize()
-            self._surfaces[page] = Graph(self._shore, queue)
-        self._surfaces[page].launch()
+        self._recorded.surface(page).launch()
         self._surfaced.record(self._shore)
 
     def _go_on(self):
@@ -234,23 +307,13 @@ class FrameQueue:
         if simulation is not None:
             simulation.before(self.stream)
             self.frame.take_water(state)
-        self._copied.wait(self.stream)
+        self.pictures.copied.wait(self.stream)
         self._surfaced.wait(self.stream)
-        if page not in self._wet:
-            passes = self.frame.passes
-            queue = chain([partial(passes.lanes.queue, WET, self.stream), passes.rain.count_lines])
-            if not self._wet:
-                queue()  # compiles
-                self.stream.synchronize()
-            self._wet[page] = Graph(self.stream, queue)
-        self._wet[page].launch()
+        self._recorded.wet(page).launch()
         if simulation is not None:
             simulation.after(self.stream, page)
         self._composed.record(self.stream)
-        self._composed.wait(self._copier)
-        self._drawn += 1
-        self.frame.copy_image(self.image, self._copier)
-        self._copied.record(self._copier)
+        self.pictures.copy(self.frame, self._composed)
 
     def _finish(self, flight, early=False):
         """Wait for a frame; draw it again if there was too little room.
@@ -260,12 +323,12 @@ class FrameQueue:
         """
         frame, simulation = self.frame, simulation_of(flight.state)
         ahead, latest = self._next, self._flight
-        self._copied.synchronize()
+        self.pictures.copied.synchronize()
         for _ in range(MOST_TRIES):
-            lacking = simulation is not None and simulation.lacked(flight.state.index)
+            lacking = simulation is not None and simulation.lacked(flight.state.step)
             lacking |= frame.passes.grow()
             if not early:
-                lacking |= frame.passes.grow_dry()
+                lacking |= any([splats.grow() for splats in frame.passes.dry_rasterizers()])  # all
             if not lacking:
                 break
             cuda.synchronize()
@@ -274,13 +337,13 @@ class FrameQueue:
             self._launch_dry()
             self._launch_surface()
             self._go_on()
-            self._copied.synchronize()
+            self.pictures.copied.synchronize()
         for splats in frame.passes.dry_rasterizers():
-            if not early and (splats.count_picture() or splats.is_tight()):
-                splats.make_room()
+            if not early:
+                splats.make_ahead()
         frame.passes.mirrors.make_ahead()
         drawn_again = self._next is not ahead
-        if drawn_again or self._is_stale():
+        if drawn_again or self._recorded.is_stale:
             self._update(ahead.shot)
         self._flight, self.done = latest, flight
         if drawn_again and latest is not flight:

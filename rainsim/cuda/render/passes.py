@@ -69,15 +69,13 @@ class Passes:
             "list splashes": Launch(self.rain.list_splashes, aside),
             "splashes": Launch(self.rain.draw_splashes, beside),
             "find water": Launch(self._find_water),
-            "mirror": Launch(lambda stream: self.mirrors.launch(frame["hit"], frame["coverage"])),
+            "mirror": Launch(self.mirrors.launch),
             "water": Launch(self._lay_water), "compose": Launch(self._compose),
         }  # fmt: skip
-        if self.ground_light.apart:
-            launches["splat level"] = Launch(self.ground_light.splat, self.ground_light.stream)
-            launches["light on wet ground"] = Launch(
-                self.ground_light.draw, self.ground_light.stream
-            )
-            launches["film"] = Launch(self.ground_light.add)
+        if (light := self.ground_light).level is not None:
+            launches["splat level"] = Launch(light.splat, light.stream)
+            launches["light on wet ground"] = Launch(light.draw, light.stream)
+            launches["film"] = Launch(light.add)
         self.launches, self.lanes = launches, Lanes(PASSES, launches)
 
     def each(self, part, stream):
@@ -89,7 +87,7 @@ class Passes:
 
     def room_for(self, height, width):
         """Make room for pictures of a size [px]."""
-        self.mirrors.room_for(height, width)
+        self.mirrors.forget_size()
         self.rain.room_for(height, width)
 
     # ---- what a finished frame had too little room for
@@ -98,21 +96,9 @@ class Passes:
         """Return the rasterizers of the pictures that need no water."""
         return [self._frame.rasterizer, *self.ground_light.rasterizers]
 
-    def dry_is_amiss(self):
-        """Return whether the finished frame's rasterizers had too little room or far too much."""
-        return any([  # a list: each of them counts its picture
-            splats.count_picture() or splats.overflows() or splats.is_tight()
-            for splats in self.dry_rasterizers()
-        ])  # fmt: skip
-
     def grow(self):
         """Make room where the finished frame's water and rain lacked it; return whether any did."""
         return any([self.mirrors.grow(), self.rain.grow()])  # both
-
-    def grow_dry(self):
-        """Make room in the dry rasterizers that lacked it; return whether any did."""
-        full = [splats for splats in self.dry_rasterizers() if splats.overflows()]
-        return bool([splats.make_room() for splats in full])
 
     def dependencies(self):
         """Return the values a recorded queue depends on: when they change, it is recorded again."""
@@ -144,12 +130,12 @@ class Passes:
         frame = self._frame
         grid, found = pixel_grid(frame.size, stream), (frame["hit"], frame["coverage"])
         ray_water.meet_water[grid](
-            frame["depth"], frame.camera_arrays, self._water_map, self.surface.highest,
+            frame["depth"], frame.view, self._water_map, self.surface.highest,
             frame.uniforms["cover"], *found,
         )  # fmt: skip
         if len(frame.tops.form):
             wet_tops.meet_tops[grid](
-                frame["depth"], frame.camera_arrays, frame.tops, frame.uniforms["off_ground"],
+                frame["depth"], frame.view, frame.tops, frame.uniforms["off_ground"],
                 *found,
             )  # fmt: skip
 
@@ -159,19 +145,19 @@ class Passes:
         return WaterMap(drawn.surface, drawn.over, self._frame["rings"], *place, drawn.shores)
 
     def _lay_water(self, stream):
-        frame, mirrors = self._frame, self.mirrors
+        frame, mirrors = self._frame, self.mirrors.arrays
         (height, width), (wide, high) = frame.size, screen_space.PATCH
         patches = (-(-width // wide), -(-height // high)), screen_space.PATCH, stream
         found, settings = (frame["hit"], frame["coverage"]), frame.uniforms["settings"]
         screen_space.find_hits[patches](
-            *found, frame["tall"], frame["bounds"], frame.camera_arrays, settings, mirrors.range,
+            *found, frame["tall"], frame["bounds"], frame.view, settings, mirrors.range,
             frame["distance"],
         )  # fmt: skip
         water_shading.shade_water[pixel_grid(frame.size, stream)](
             *found, frame["distance"],
             Background(frame["picture"], frame["below"], frame["depth"]), frame["tall"],
-            frame.camera_arrays, self._water_map, frame.tops, Ripples(frame["moments"], frame.tile),
-            frame["environment"], frame["gloss"], settings, mirrors.arrays,
+            frame.view, self._water_map, frame.tops, Ripples(frame["moments"], frame.tile),
+            frame["environment"], frame["gloss"], settings, mirrors,
             optics_of(frame.conductor.methods, frame.uniforms["sun"]), frame["shown"],
         )  # fmt: skip
 
@@ -179,6 +165,6 @@ class Passes:
         frame, light = self._frame, self.drop_light
         compose[pixel_grid(frame.size, stream)](
             frame["shown"], frame["depth"], RainCover(*self.rain.alphas, frame.uniforms["fog"]),
-            RainLight(light.drops, light.sheets, frame.uniforms["air"]), frame.camera_arrays,
+            RainLight(light.drops, light.sheets, frame.uniforms["air"]), frame.view,
             frame.uniforms["brightness"], frame["image"],
         )  # fmt: skip

@@ -36,7 +36,8 @@ class RainPass:
     splashes : Splashes or None
         None without rain.
     impacts : RecentImpacts or None
-        What fell in the last moments, for states of the host.
+        What fell in the last moments, for states of the host, and where actors move: a frame shows
+        what fell on them as they stand at its time.
     drips : DripList or None
         For states of the host.
     """
@@ -59,7 +60,7 @@ class RainPass:
         field = RainField(RainSpectrum(0.0)) if field is None else field
         self.streaks = Streaks(field, surfaces, width, height, depth, self.stream)
         self._no_rain = field
-        if actors is not None and actors.heights is not None:
+        if self._moves:
             self.streaks.surfaces = actors.heights.fields
         self.streaks.spray = spray
 
@@ -80,17 +81,21 @@ class RainPass:
             self._fog_of = key, fog_table(field, reach), reach
         _, fog, reach = self._fog_of
         self.streaks.update(field, *shutter, reach, *lens)
-        if simulation is None and self.impacts is None:
+        if self.impacts is None and (simulation is None or self._moves):
             self.impacts = self._recent()
         frame = math.floor(state.time * conductor.config.fps + 1e-6)
         if self.impacts is not None:
             self.impacts.update(frame)
-        recent = self.impacts if simulation is None else simulation.impacts
+        recent = simulation.impacts if self.impacts is None else self.impacts
         if self.splashes is None:
             self.splashes = Splashes(self.streaks, recent, self._surface.depth)
         film = WET_FILM * conductor.frame["paving"]
         self.splashes.update(field, film, recent.next_list(frame))
         return fog
+
+    @property
+    def _moves(self):
+        return self._actors is not None and self._actors.heights is not None
 
     def _recent(self):
         """Return the impacts of states whose times may lie within an interval."""
@@ -99,7 +104,7 @@ class RainPass:
         recent = RecentImpacts(
             conductor.weather, conductor.frame["surfaces"], conductor.config.fps, 2, self.stream
         )
-        if actors is not None and actors.heights is not None:
+        if self._moves:
             recent.surfaces, recent.relisted = actors.heights.fields, True
         return recent
 

@@ -32,7 +32,7 @@ class Renderer:
     """Draws frames of one scene, terrain and configuration on the GPU.
 
     Takes the states that the CPU's simulation yields, or those of `rainsim.cuda.simulation`, whose
-    water never leaves the device unless actors move over it.
+    water stays on the device.
 
     Attributes
     ----------
@@ -47,7 +47,6 @@ class Renderer:
         _require_known(config.render)
         require_whole(scene, "backend cuda", "take backend cpu")
         self.stream, self._ahead = cuda.stream(), cuda.stream()
-        self._before, self._after = Event(), Event()
         self._room = -(-sum(len(actor.splats) for actor in scene.actors) // LANES)
         self.conductor = Conductor(scene, terrain, config, first_camera, self._rasterizer_of)
         self.frame = DeviceFrame(self.conductor, self.stream)
@@ -86,18 +85,20 @@ class Renderer:
         """
         frame, passes, stream = self.frame, self.frame.passes, self.stream
 
+        before, after = Event(), Event()
+
         def splat():
-            self._before.record(stream)
-            self._before.wait(frame.ahead)
+            before.record(stream)
+            before.wait(frame.ahead)
             passes.lanes.queue(SPLAT, frame.ahead)
-            self._after.record(frame.ahead)
-            self._after.wait(stream)
+            after.record(frame.ahead)
+            after.wait(stream)
 
         parts = {"numbers": frame.uniforms.send, "splat": splat}
         for part in (DRY, SURFACE, WET):
             parts.update(passes.each(part, stream))
         parts["counts"] = passes.rain.count_lines
-        parts["copy"] = lambda: frame.copy_image(self.queue.image)
+        parts["copy"] = lambda: frame.copy_image(self.queue.pictures.last)
         return part_times(stream, parts)
 
     def _report(self, names=()):
@@ -106,7 +107,7 @@ class Renderer:
         stages = {"frame": (clock.perf_counter() - done.begin) * 1e3}
         if names:
             self._aovs.make(names, done.state)
-        return self.queue.image, report_of(self.conductor, done.state, stages, names)
+        return self.queue.pictures.last, report_of(self.conductor, done.state, stages, names)
 
 
 def _require_known(render):

@@ -23,7 +23,7 @@ def compose(picture, depth, drops, light, camera, brightness, image_out):
 
     Parameters
     ----------
-    camera : CameraArrays
+    camera : View
     brightness : device array of shape (1,), float32
     """
     column, row = cuda.grid(2)

@@ -16,7 +16,8 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.raster import Rasterizer
-from rainsim.cuda.shading.wet_pass import BLOCK, blocks, grade_layers
+from rainsim.cuda.shading.lamp_images import Lamps, shines
+from rainsim.cuda.shading.wet_pass import BLOCK, blocks, grade_layers, pixel_grid
 from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.numerics.ripmap import LEVELS
 from rainsim.scene.cameras import mirrored_camera
@@ -131,6 +132,110 @@ def add_reflection(bare, cover, field, step, picture_out):
     picture_out[row, column, 2] = blue
 
 
+class LevelView:
+    """The level picture of the frames of a device: what stands on the ground, mirrored.
+
+    Parameters
+    ----------
+    frame : DeviceFrame
+    stream : numba.cuda.stream
+        That it is splatted on.
+    drawn : bool
+        Whether it is; else it stands for one that shows nothing.
+
+    Attributes
+    ----------
+    rasterizers : list of Rasterizer
+        Empty, or the rasterizer of the splats that stand on the ground.
+    size : device array of shape (2,), float32
+        Columns and rows that are drawn; the arrays may be larger.
+    lamps : Lamps or None
+        None: the scene has none.
+    """
+
+    def __init__(self, frame, stream, drawn):
+        self._frame, self.rasterizers, self.lamps = frame, [], None
+        self.size = cuda.to_device(np.zeros(2, np.float32))
+        self._lens = cuda.to_device(np.ones(4, np.float32))
+        self._uniforms = FrameUniforms(stream, {
+            "turn": ((3, 3), np.float32), "eye": ((3,), np.float32), "forward": ((2,), np.float32),
+        })  # fmt: skip
+        self._room, self._horizon = None, 0
+        self._allocate(1, 1)
+        if drawn:
+            splats = DeviceSplats(self._splats(), frame.rasterizer.splats.room)
+            self.rasterizers = [Rasterizer(splats, stream, first_room=splats.count)]
+            if shines(frame.conductor.wet_scene.scene):
+                self.lamps = Lamps(frame, splats, stream)
+
+    def _allocate(self, width, height):
+        """Allocate the picture of at most this size, and its ripmap."""
+        f4 = np.float32
+        self._picture = cuda.device_array((height, width, 3), f4)
+        self._depth, self._clearance = (cuda.device_array((height, width), f4) for _ in range(2))
+        high, wide = (-(-side // COARSEST) * 2 * COARSEST for side in (height, width))
+        self._atlas = cuda.device_array((high, wide, 3), f4)
+        self._version = new_version()
+
+    def _splats(self):
+        conductor = self._frame.conductor
+        scene, terrain = conductor.wet_scene, conductor.ground.terrain
+        return in_level_picture(scene.capture.prepared, terrain, scene.frame)
+
+    def send_colors(self):
+        """Send the colours of the splats again, which are the scene's that stand on the ground."""
+        for rasterizer in self.rasterizers:
+            rasterizer.splats.send_colors(self._splats())
+
+    def send_actors(self):
+        """Send the actors of the present time; the device must draw nothing meanwhile."""
+        conductor = self._frame.conductor
+        scene, terrain = conductor.wet_scene, conductor.ground.terrain
+        for rasterizer in self.rasterizers:
+            rasterizer.splats.put_actors(scene.capture.actors.standing(terrain, scene.frame))
+
+    @property
+    def versions(self):
+        """Of the arrays and of the list of lamps, see `cuda.graph.new_version`, a tuple."""
+        return self._version, 0 if self.lamps is None else self.lamps.version
+
+    def update(self, camera, camera_in_ground):
+        """Take over the camera of the next picture, in the capture's and in the ground's frame."""
+        scene, level = self._frame.conductor.wet_scene, level_camera(camera_in_ground)
+        _, mirrored = mirrored_camera(scene.frame.camera_in_capture(level), scene.frame, 0.0)
+        self._horizon = round(level.cy)
+        room = math.ceil(2 * MOST_ASIDE * level.fx), math.ceil((ABOVE + MOST_UP) * level.fx)
+        if room != self._room:
+            self._room = room
+            self._allocate(*room)
+        for rasterizer in self.rasterizers:
+            rasterizer.update(mirrored, scene.capture.near, room=room)
+            self.size, self._lens = rasterizer.size, rasterizer.lens
+        if self.lamps is not None:
+            self.lamps.update(camera, camera_in_ground)
+        view = view_of(scene.frame.camera_in_ground(mirrored))
+        self._uniforms.update(turn=view.ground_from_camera, eye=view.eye, forward=level.forward[:2])
+
+    def draw(self, stream):
+        """Queue the grading of the picture, whose splats are drawn, and its ripmap."""
+        self._uniforms.send(stream)
+        pictures = self._picture, self._depth, self._clearance, self._depth[:0]
+        turn, eye = self._uniforms["turn"], self._uniforms["eye"]
+        high, wide, _ = self._atlas.shape
+        grid = blocks(high // 2, wide), BLOCK, stream
+        for rasterizer in self.rasterizers:
+            grade_layers(self._frame, rasterizer, self._depth.shape, turn, eye, *pictures, stream)
+            if self.lamps is not None:
+                self.lamps.dim(self._picture, stream)
+            halve_widths[grid](self._picture, self.size, self._horizon, self._atlas)
+            halve_heights[grid](self._atlas)
+
+    @property
+    def arrays(self):
+        """The picture as kernels take it, a `LevelPicture`."""
+        return LevelPicture(self._atlas, self._depth, self._lens, self._uniforms["forward"])
+
+
 class WetGroundLight:
     """The light that wet ground mirrors in the frames of a device.
 
@@ -141,103 +246,46 @@ class WetGroundLight:
 
     Attributes
     ----------
-    apart : bool
-        Whether the film's cover is found and its reflection added.
-    rasterizers : list of Rasterizer
-        Empty, or the rasterizer of the level picture: of the splats that stand on the ground.
-    cover : device array of shape (height, width), float32
-        Share of a full water film; unused rows where `apart` is False.
+    stream : numba.cuda.stream
+        That the level picture and the field are drawn on.
+    level : LevelView or None
+        None: the film's cover is not found, nor its reflection added.
     """
 
     def __init__(self, frame):
-        self.frame, film = frame, frame.conductor.ground.film
-        self.apart, self.rasterizers = film.apart, []
-        self.stream, self._room = cuda.stream(), None
-        if not self.apart:
-            return
-        slopes, *place = film.ground
-        self._ground = GroundSlopes(cuda.to_device(slopes), cuda.to_device(place[0]), *place[1:])
-        self._lobe = cuda.to_device(LOBE)
-        # Stand for a level picture that shows nothing.
-        self._size = cuda.to_device(np.zeros(2, np.float32))
-        self._lens = cuda.to_device(np.ones(4, np.float32))
-        self._uniforms = FrameUniforms(self.stream, {
-            "turn": ((3, 3), np.float32), "eye": ((3,), np.float32), "forward": ((2,), np.float32),
-        })  # fmt: skip
-        self._allocate(1, 1)
-        if film.drawn:
-            self._prepare()
+        self._frame, film = frame, frame.conductor.ground.film
+        self.stream, self.level = cuda.stream(), None
+        self._field, self._made_for = None, ()
+        if film.apart:
+            slopes, corner, *place = film.ground
+            self._ground = GroundSlopes(cuda.to_device(slopes), cuda.to_device(corner), *place)
+            self._lobe = cuda.to_device(LOBE)
+            self.level = LevelView(frame, self.stream, film.drawn)
 
-    def room_for(self, height, width):
-        """Allocate the arrays of a picture of this size; return the array of the film's cover."""
-        self._shape, self.field = (height, width), None
-        self.cover = cuda.device_array((height if self.apart else 1, width), np.float32)
-        return self.cover if self.apart else self.cover[:0]
-
-    def _allocate(self, width, height):
-        """Allocate the level picture of at most this size, and its ripmap."""
-        f4 = np.float32
-        self._picture = cuda.device_array((height, width, 3), f4)
-        self._depth, self._clearance = (cuda.device_array((height, width), f4) for _ in range(2))
-        high, wide = (-(-side // COARSEST) * 2 * COARSEST for side in (height, width))
-        self._atlas = cuda.device_array((high, wide, 3), f4)
-        self._version = new_version()
-
-    def _prepare(self):
-        """Send the splats that stand on the ground to the device."""
-        splats = DeviceSplats(self._level_splats(), self.frame.rasterizer.splats.room)
-        self.rasterizers = [Rasterizer(splats, self.stream, first_room=splats.count)]
-
-    def _level_splats(self):
-        conductor = self.frame.conductor
-        scene, terrain = conductor.wet_scene, conductor.ground.terrain
-        return in_level_picture(scene.capture.prepared, terrain, scene.frame)
-
-    def send_colors(self):
-        """Send the colours of the level picture's splats again, after `prepared` has changed.
-
-        These splats are the scene's that stand on the ground; without a level picture nothing is
-        sent.
-        """
-        for rasterizer in self.rasterizers:
-            rasterizer.splats.send_colors(self._level_splats())
-
-    def send_actors(self):
-        """Send the actors of the present time; the device must draw nothing meanwhile."""
-        conductor = self.frame.conductor
-        scene, terrain = conductor.wet_scene, conductor.ground.terrain
-        for rasterizer in self.rasterizers:
-            rasterizer.splats.put_actors(scene.capture.actors.standing(terrain, scene.frame))
+    @property
+    def rasterizers(self):
+        """That of the level picture, if it is drawn, a list."""
+        return [] if self.level is None else self.level.rasterizers
 
     def update(self, camera, camera_in_ground):
         """Take over the camera of the next picture, in the capture's and in the ground's frame."""
-        self._step = max(1, round(camera.fx / FIELD_STEP))
-        if self.apart and (self.field is None or self._field_step != self._step):
-            self._field_step = self._step
-            shape = (-(-n // self._step) for n in self._shape)
-            self.field = cuda.device_array((*shape, 3), np.float32)
-            self._version = new_version()
-        if not self.rasterizers:
+        if self.level is None:
             return
-        scene, level = self.frame.conductor.wet_scene, level_camera(camera_in_ground)
-        _, mirrored = mirrored_camera(scene.frame.camera_in_capture(level), scene.frame, 0.0)
-        self._horizon = round(level.cy)
-        room = math.ceil(2 * MOST_ASIDE * level.fx), math.ceil((ABOVE + MOST_UP) * level.fx)
-        if room != self._room:
-            self._room = room
-            self._allocate(*room)
-        rasterizer = self.rasterizers[0]
-        rasterizer.update(mirrored, scene.capture.near, room=room)
-        self._size, self._lens = rasterizer.size, rasterizer.lens
-        view = view_of(scene.frame.camera_in_ground(mirrored))
-        self._uniforms.update(turn=view.ground_from_camera, eye=view.eye, forward=level.forward[:2])
+        self._step = max(1, round(camera.fx / FIELD_STEP))
+        if self._made_for[:-1] != (self._step, self._frame.size):
+            self._made_for = self._step, self._frame.size, new_version()
+            shape = (-(-n // self._step) for n in self._frame.size)
+            self._field = cuda.device_array((*shape, 3), np.float32)
+        if self.rasterizers:
+            self.level.update(camera, camera_in_ground)
 
     @property
     def queue(self):
         """The values that a recorded queue depends on."""
-        if not self.apart:
+        if self.level is None:
             return ()
-        return self._version, *(rasterizer.queue for rasterizer in self.rasterizers)
+        queues = (rasterizer.queue for rasterizer in self.rasterizers)
+        return *self._made_for, *self.level.versions, *queues
 
     def splat(self, stream):
         """Queue the splatting of the level picture on `stream`, which is this one's own."""
@@ -245,33 +293,19 @@ class WetGroundLight:
             rasterizer.launch()
 
     def draw(self, stream):
-        """Queue the graded level picture, whose splats are drawn, and the field."""
-        self._uniforms.send(stream)
-        for rasterizer in self.rasterizers:
-            self._grade(rasterizer, stream)
-        self._fill(stream)
-
-    def _grade(self, rasterizer, stream):
-        """Queue the grading of the level picture, and its ripmap."""
-        pictures = self._picture, self._depth, self._clearance, self.cover[:0]
-        turn, eye = self._uniforms["turn"], self._uniforms["eye"]
-        grade_layers(self.frame, rasterizer, self._depth.shape, turn, eye, *pictures, stream)
-        high, wide, _ = self._atlas.shape
-        grid = blocks(high // 2, wide), BLOCK, stream
-        halve_widths[grid](self._picture, self._size, self._horizon, self._atlas)
-        halve_heights[grid](self._atlas)
-
-    def _fill(self, stream):
-        """Queue the field of mirrored light."""
-        level = LevelPicture(self._atlas, self._depth, self._lens, self._uniforms["forward"])
-        mirrored_field[blocks(*self.field.shape[:2]), BLOCK, stream](
-            self.frame.camera_arrays, self._step, self._ground, self._lobe, level, self._size,
-            self.frame["gloss"], self.field,
+        """Queue the graded level picture, whose splats are drawn, and the field of light."""
+        self.level.draw(stream)
+        mirrored_field[blocks(*self._field.shape[:2]), BLOCK, stream](
+            self._frame.view, self._step, self._ground, self._lobe, self.level.arrays,
+            self.level.size, self._frame["gloss"], self._field,
         )  # fmt: skip
+        if self.level.lamps is not None:
+            seen = self.level.arrays, self.level.size, self._field
+            self.level.lamps.add(self._step, self._ground, *seen, stream)
 
     def add(self, stream):
         """Queue the sum of the graded picture and the light that its wet ground mirrors."""
-        frame = self.frame
-        add_reflection[blocks(*self._shape), BLOCK, stream](
-            frame["below"], self.cover, self.field, self._step, frame["picture"]
+        frame = self._frame
+        add_reflection[pixel_grid(frame.size, stream)](
+            frame["below"], frame["cover"], self._field, self._step, frame["picture"]
         )

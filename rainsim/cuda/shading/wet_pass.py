@@ -11,7 +11,7 @@ import numpy as np
 
 from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.scene.view import CameraArrays, pixel_ray, view_from
+from rainsim.scene.view import pixel_ray, view_from, view_of_arrays
 from rainsim.shading.grading import look_from
 from rainsim.shading.smooth_normals import AROUND, NO_AROUND, smooth_normal, turned
 from rainsim.shading.wet_pass import DryPicture, depth_of_surface
@@ -60,7 +60,7 @@ def grade_layers(
     ground = GroundMaps(frame["bed"], frame["ground_map"], *frame.place, frame["bodies"])
     sky = SkyMaps(frame["gloss"], frame["coat"], frame["behind_mirrored" if mirrored else "behind"])
     grade_and_wet[pixel_grid(shape, stream)](
-        rasterizer.size, dry, CameraArrays(turn, eye, rasterizer.lens), ground,
+        rasterizer.size, dry, view_of_arrays(turn, eye, rasterizer.lens), ground,
         frame.uniforms["off_ground"], sky, frame.uniforms["look"], picture, depth, clearance, cover,
     )  # fmt: skip
 
@@ -77,7 +77,7 @@ def grade_and_wet(
     ----------
     size : device array of shape (2,), float32
         Columns and rows [px] of the part that was drawn.
-    camera : CameraArrays
+    camera : View
     rain : device array of shape (fields,), float32
         An `OffGroundWetness`, see `off_ground_from`.
     look : device array of shape (fields,), float32

@@ -107,30 +107,31 @@ class DeviceSplats:
             self.span[:room].copy_to_device(span)
         self._order, self._first = merged.order, first
 
-    def require_numbers(self):
-        """Raise ParameterError if there are more splats than pictures can tell by number."""
-        if self.chunks * LANES >= MOST_NUMBERS:
-            raise ParameterError(
-                f"hit is asked for of {self.count} splats; backend cuda numbers at most "
-                f"{MOST_NUMBERS - 1}; use backend cpu"
-            )
+    def divisors(self):
+        """Return the divisors of the pictures that show which splat is hit, a digit each."""
+        found = [1]
+        while found[-1] * MOST_NUMBERS < self.chunks * LANES:
+            found.append(found[-1] * MOST_NUMBERS)
+        return found
 
-    def of_numbers(self, number):
-        """Return the splats that a picture of numbers shows, see `project.number_records`.
+    def of_digits(self, digits):
+        """Return the splats that pictures of digits show, see `project.number_records`.
 
         Parameters
         ----------
-        number : ndarray, float32
-            Infinite where no splat stops half of the light.
+        digits : sequence of ndarray, float32
+            One for each of `divisors`; infinite where no splat stops half of the light.
 
         Returns
         -------
         ndarray, int32
             Index in the scene that was prepared, actors behind it; -1 for none.
         """
-        seen = np.isfinite(number)
-        hit = np.full(number.shape, -1, np.int32)
-        hit[seen] = self._order[number[seen].astype(np.int64) - 1 - self._first * LANES]
+        seen = np.isfinite(digits[0])
+        hit, number = np.full(seen.shape, -1, np.int32), -self._first * LANES
+        for divisor, digit in zip(self.divisors(), digits, strict=True):
+            number = number + divisor * (digit[seen].astype(np.int64) - 1)
+        hit[seen] = self._order[number]
         return hit
 
 

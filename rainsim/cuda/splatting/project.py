@@ -387,15 +387,15 @@ def find_ranges(total, levels, key, value, record, begin_out, end_out):
 
 
 @cuda_kernel
-def number_records(places, record):
-    """Replace the depths of records by their numbers, from 1 on.
+def number_records(places, divisor, base, record):
+    """Replace the depths of records by a digit of their numbers, plus 1.
 
     The entries must be sorted. A picture of the median depth then shows which record stops half of
-    the light; numbers up to 2^24 are exact.
+    the light. A digit is the number over the `divisor`, modulo the `base`, at most 2^24: exact.
     """
     i = cuda.grid(1)
     if i < places:
-        record[RECORD * i + 9] = np.float32(i + 1)
+        record[RECORD * i + 9] = np.float32(i // divisor % base + 1)
 
 
 def list_kernel(plain):

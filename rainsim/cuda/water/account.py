@@ -103,6 +103,10 @@ class Account:
                 now[RAIN_STEP] = (self.courant * self._spacing) ** (2 / 3) / most ** (1 / 3)
             self._rate = rate
 
+    def let_through(self, exposure):
+        """Let another share of the rain fall on each cell from the next `update` on."""
+        self._exposure, self._rate = exposure, None
+
     def send(self):
         """Queue the sending of what `update` has set."""
         self._uniforms.send()
