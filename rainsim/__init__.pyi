@@ -12,6 +12,9 @@ from rainsim.errors import RainsimError as RainsimError
 from rainsim.grid import WaterSolver as WaterSolver
 from rainsim.io.images import read_image as read_image
 from rainsim.io.images import write_png as write_png
+from rainsim.io.states import SimState as SimState
+from rainsim.io.states import read_state as read_state
+from rainsim.io.states import write_state as write_state
 from rainsim.pipeline import extract_terrain as extract_terrain
 from rainsim.pipeline import render_rain as render_rain
 from rainsim.render.aov import AOVS as AOVS
@@ -29,10 +32,7 @@ from rainsim.scene.types import Camera as Camera
 from rainsim.scene.types import GroundFrame as GroundFrame
 from rainsim.scene.types import Scene as Scene
 from rainsim.scene.types import Splats as Splats
-from rainsim.simulation import SimState as SimState
-from rainsim.simulation import read_state as read_state
 from rainsim.simulation import simulate as simulate
-from rainsim.simulation import write_state as write_state
 from rainsim.surface.offered_views import offered_cameras as offered_cameras
 from rainsim.terrain.map_files import read_terrain as read_terrain
 from rainsim.terrain.map_files import write_terrain as write_terrain
@@ -43,8 +43,8 @@ from rainsim.water.conditions import Rating as Rating
 from rainsim.water.conditions import Stage as Stage
 from rainsim.water.fill_spill_merge import standing_water as standing_water
 from rainsim.water.gauges import Gauges as Gauges
-from rainsim.water.report import WaterReport as WaterReport
 from rainsim.water.series import Series as Series
 from rainsim.water.series import read_series as read_series
+from rainsim.water.water_report import WaterReport as WaterReport
 
 __version__: str

@@ -3,18 +3,19 @@
 A step from time n to n+1 is the method `_step`:
 
     h at n+1    = h - dt div(h u)             the flow's `advance_depth`
-    h          += dt (rain - losses)          `_apply_sources`, films first
+    h          += dt (rain - losses)          the sources' `apply`, films first
     u at n+3/2  = u - dt (transport + g grad(bed + h)), then friction   `advance_velocity`
 
-The scheme of the first and the last line is `rainsim.water.conserving_flow.ConservingFlow`
-("accurate", "lean") or `rainsim.water.paper_flow.PaperFlow` ("paper"). The twin on a CUDA device is
-`rainsim.cuda.grid`.
+The scheme of the first and the last line is a `rainsim.water.conserving_flow.ConservingFlow`
+("accurate", "lean") or `rainsim.water.paper_flow.PaperFlow` ("paper"), the sources those of
+`rainsim.water.sources`. The twin on a CUDA device is `rainsim.cuda.grid`.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 
@@ -25,10 +26,11 @@ from rainsim.errors import (
     require_not_negative,
     require_positive,
 )
+from rainsim.io.states import digest, read_solver, write_solver
 from rainsim.ledger import Ledger
 from rainsim.water.choose import MAX_COURANT, SCHEMES, choose
-from rainsim.water.conditions import QUIET_FALL, apply_conditions, longest_step, place_all
-from rainsim.water.conserving_flow import ConservingFlow
+from rainsim.water.conditions import apply_conditions, longest_step, place_all
+from rainsim.water.conserving_flow import AccurateFlow, LeanFlow
 from rainsim.water.inputs import (
     EDGES,
     field,
@@ -42,13 +44,12 @@ from rainsim.water.inputs import (
     require_dtype,
 )
 from rainsim.water.paper_flow import PaperFlow
-from rainsim.water.report import WaterReport
-from rainsim.water.saved_state import read_solver, write_solver
 from rainsim.water.series import rain_pieces
-from rainsim.water.sources import apply_sources, drain_cells, lift_cells, sum_tiles
+from rainsim.water.sources import DRY_DEPTH, Sources, sum_tiles
+from rainsim.water.water_report import WaterReport
 
-DRY_DEPTH = 1e-6  # m, below this water does not flow (RainyGS supplement, step 2)
 MAX_SPEED = 1000.0  # m/s, no water on the ground is as fast: the run has diverged
+QUIET_FALL = 0.5  # cells that water may fall from rest in the first step that moves it
 SOURCE_PERIOD = 0.02  # s, rain and losses of shorter steps are booked together
 DECIDE_EVERY = 8  # calls of `advance`, between two looks of "auto" at the water
 
@@ -92,12 +93,8 @@ class WaterSolver:
     ----------
     flow : ConservingFlow or PaperFlow
         Owner of depth and velocity, with `flow.pad` rings of ghost cells around the map.
-    film, storage, infiltration : ndarray of the shape of `flow.h` [m], [m], [m/s]
-        Depth held back in each cell, its limit, and what the ground takes.
-    drains : tuple of ndarray
-        Rows, columns and rates [m3/s].
-    is_open : dict
-        Whether each edge is open.
+    sources : Sources
+        Owner of the rain, the films, and what ground and drains take.
     conditions : list
         Each with the `volume` [m3] that came in through it and the `flow` [m3/s] of the last step.
 
@@ -139,39 +136,27 @@ class WaterSolver:
         self.gravity = require_positive("gravity", gravity, "m/s2")
         self._asked_scheme = require_choice("scheme", scheme, SCHEMES)
         self._asked_courant = require_courant(courant, MAX_COURANT[scheme])
-        self._type = require_dtype(dtype)
+        dtype = require_dtype(dtype)
         viscosity = require_not_negative("kinematic_viscosity", kinematic_viscosity, "m2/s")
-        storage = field("storage", storage, self.shape).astype(self._type)
+        storage = field("storage", storage, self.shape).astype(dtype)
         infiltration = field(
             "infiltration", 0.0 if infiltration is None else infiltration, self.shape
-        ).astype(self._type)
-        self.drains = require_drains(drains, self.shape)
-        roughness = (field("manning", manning, self.shape) ** 2).astype(self._type)
+        ).astype(dtype)
+        drains = require_drains(drains, self.shape)
+        roughness = (field("manning", manning, self.shape) ** 2).astype(dtype)
         roughness = roughness if roughness.any() else None
         # Levels are compared, so the height of the map itself must not cost digits.
-        level_bed = (bed + storage - bed.mean()).astype(self._type)
+        level_bed = (bed + storage - bed.mean()).astype(dtype)
         common = level_bed, self.spacing, self.gravity, open_edges(boundary), roughness, DRY_DEPTH
         if scheme == "paper":
             refuse_viscosity(viscosity)
             self.flow = PaperFlow(*common)
         else:
-            self.flow = ConservingFlow(*common, viscosity, is_lean=scheme == "lean")
-        self.is_open = open_edges(boundary)
-        self.conditions = place_all(conditions, bed, self.flow.pad, self.is_open)
-        self.storage, self.infiltration = self._framed(storage), self._framed(infiltration)
-        self.film, self._rain = self._framed(0.0), self._framed(0.0)
-        self.has_storage, self.has_infiltration = bool(storage.any()), bool(infiltration.any())
-        tiles = len(self.flow.tiles(True))
-        self._infiltrated = np.zeros(tiles)  # m, in each tile in one step
-        self._standing = np.zeros((3, tiles))  # water, film and least depth [m] of each tile
-        self._rain_rate, self._rain_sum = 0.0, 0.0
+            self.flow = (LeanFlow if scheme == "lean" else AccurateFlow)(*common, viscosity)
+        self.conditions = place_all(conditions, bed, self.flow.pad, self.flow.is_open)
+        self.sources = Sources(self.flow, self.spacing**2, storage, infiltration, drains)
+        self._standing = np.zeros((3, len(self.flow.tiles(True))))  # see `sum_tiles`
         self.set_state(0.0)
-
-    def _framed(self, values):
-        """Return a map of the fields' type with the flow's ghost cells, zero there, around it."""
-        full = np.zeros(self.flow.h.shape, self._type)
-        full[self.flow.inner] = values
-        return full
 
     # -- state ---------------------------------------------------------------------------------
 
@@ -189,21 +174,21 @@ class WaterSolver:
         depth = field("depth", depth, self.shape)
         u = field("u", 0.0 if u is None else u, self.shape, signed=True)
         v = field("v", 0.0 if v is None else v, self.shape, signed=True)
-        flow, inner = self.flow, self.flow.inner
-        self.film[inner] = np.minimum(depth, self.storage[inner])
-        free = depth - self.film[inner]
+        flow, inner, film = self.flow, self.flow.inner, self.sources.film[self.flow.inner]
+        h, remainder, bed = flow.water.h[inner], flow.water.remainder[inner], flow.bed[inner]
+        film[:] = np.minimum(depth, self.sources.storage[inner])
+        free = depth - film
         del depth  # maps of millions of cells are let go as soon as they may
-        flow.h[inner] = np.where(free >= DRY_DEPTH, free, 0.0)
-        flow.remainder[inner] = free - flow.h[inner]
+        h[:] = np.where(free >= DRY_DEPTH, free, 0.0)
+        remainder[:] = free - h
         del free
-        h, bed = flow.h[inner], flow.bed[inner]
-        u = mean_at_faces(u, h, bed, DRY_DEPTH, axis=1).astype(self._type)
+        u = mean_at_faces(u, h, bed, DRY_DEPTH, axis=1).astype(h.dtype)
         flow.start(u, mean_at_faces(v, h, bed, DRY_DEPTH, axis=0))
         self._advances = 0
         self._has_deposits = False  # drops that no step has taken in yet
         self.settled = False  # whether a step has shown that pressure moves nothing
         self._choose_scheme()
-        self.time = self._unbooked_time = 0.0
+        self.time = self.sources.unbooked_time = 0.0
         for condition in self.conditions:
             condition.reset()
         self._ledger = Ledger()
@@ -213,36 +198,26 @@ class WaterSolver:
     @property
     def depth(self):
         """Depth above the bed, film included, ndarray of shape (ny, nx) [m]; a copy."""
-        flow, inner = self.flow, self.flow.inner
-        return self.film[inner] + (flow.h[inner] + flow.remainder[inner])
+        water, inner = self.flow.water, self.flow.inner
+        return self.sources.film[inner] + (water.h[inner] + water.remainder[inner])
 
     @property
     def velocity(self):
         """Velocity (u, v) at cell centres, two ndarrays of shape (ny, nx) [m/s]; copies."""
-        wet = self.flow.h[self.flow.inner] > 0
-        half, (u, v) = self._type(0.5), self.flow.faces()
-        across = np.where(wet, half * (u[:, :-1] + u[:, 1:]), self._type(0))
-        return across, np.where(wet, half * (v[:-1] + v[1:]), self._type(0))
+        wet, (u, v) = self.flow.water.h[self.flow.inner] > 0, self.flow.faces()
+        half, rest = u.dtype.type(0.5), u.dtype.type(0)
+        across = np.where(wet, half * (u[:, :-1] + u[:, 1:]), rest)
+        return across, np.where(wet, half * (v[:-1] + v[1:]), rest)
 
     @property
     def ledger(self):
         """The account so far, a copy of the `Ledger`."""
         return replace(self._ledger)
 
-    @property
-    def has_losses(self):
-        """Whether the ground or drains take water."""
-        return self.has_infiltration or len(self.drains[0]) > 0
-
     def discharge(self, edge):
         """Return the flow that leaves through `edge` now [m3/s]."""
         require_choice("edge", edge, EDGES)
-        (u, v), h = self.flow.faces(), self.flow.h[self.flow.inner]
-        speed, h = {
-            "west": (-u[:, 0], h[:, 0]), "east": (u[:, -1], h[:, -1]),
-            "south": (-v[0], h[0]), "north": (v[-1], h[-1]),
-        }[edge]  # fmt: skip
-        return float((speed.astype(np.float64) * h).sum()) * self.spacing
+        return self.flow.leaving(edge) * self.spacing
 
     def deposit(self, rows, columns, volumes):
         """Add drops: `volumes` [m3] into the cells (`rows`, `columns`), arrays of one length.
@@ -254,10 +229,11 @@ class WaterSolver:
         if not len(rows):
             return
         # Rounded once in the sum of a cell, not once for each of its drops.
-        width, pad = self.film.shape[1], self.flow.pad
-        cells, which = np.unique((rows + pad) * width + columns + pad, return_inverse=True)
+        remainder, pad = self.flow.water.remainder, self.flow.pad
+        cells = (rows + pad) * remainder.shape[1] + columns + pad
+        cells, which = np.unique(cells, return_inverse=True)
         depth = np.bincount(which, np.asarray(volumes, np.float64)) / self.spacing**2
-        self.flow.remainder.reshape(-1)[cells] += depth.astype(self._type)
+        remainder.reshape(-1)[cells] += depth.astype(remainder.dtype)
         self._ledger.rain += float(volumes.sum(dtype=np.float64))
         self._has_deposits = True
 
@@ -265,7 +241,7 @@ class WaterSolver:
         """Drain up to `volumes` [m3] of free water from cells, none of them named twice."""
         require_drops(rows, columns, volumes, self.shape)
         if len(rows):
-            self._ledger.drained += self._drain(rows, columns, np.asarray(volumes))
+            self._ledger.drained += self.sources.drain(rows, columns, np.asarray(volumes))
             self._has_deposits = True
 
     def lift(self, rows, columns, left):
@@ -276,23 +252,10 @@ class WaterSolver:
         require_drops(rows, columns, np.zeros(len(rows)), self.shape)
         if not len(rows):
             return 0.0
-        flow = self.flow
-        at = np.asarray(rows) + flow.pad, np.asarray(columns) + flow.pad
-        flow.h[at], flow.remainder[at], self.film[at], taken = lift_cells(
-            flow.h[at], flow.remainder[at], self.film[at], left, self.spacing**2, DRY_DEPTH
-        )
+        taken = self.sources.lift(rows, columns, left)
         self._ledger.drained += taken
         self._has_deposits = True
         return taken
-
-    def _drain(self, rows, columns, volumes):
-        """Take up to `volumes` [m3] of free water from cells; return the volume taken [m3]."""
-        flow, area = self.flow, self.spacing**2
-        at = np.asarray(rows) + flow.pad, np.asarray(columns) + flow.pad
-        flow.h[at], flow.remainder[at], taken = drain_cells(
-            flow.h[at], flow.remainder[at], volumes / area, DRY_DEPTH
-        )
-        return taken * area
 
     # -- time ----------------------------------------------------------------------------------
 
@@ -326,7 +289,7 @@ class WaterSolver:
             self._choose_scheme()
         substeps = 0
         for stop, rate in rain_pieces(rain, self.time, end):
-            self._set_rain(rate)
+            self.sources.set_rain(rate)
             taken, goes_on = self._advance_to(stop, progress)
             substeps += taken
             if not goes_on:
@@ -348,39 +311,27 @@ class WaterSolver:
             self.time = end if steps == 1 else self.time + left / steps
             self._require_possible_speed()
             if progress is not None and progress(self.time) is False:
-                if self._unbooked_time > 0.0:  # the next call may bring another rain
-                    self._apply_sources(self._unbooked_time)
-                    self._unbooked_time = 0.0
+                if self.sources.unbooked_time > 0.0:  # the next call may bring another rain
+                    self._apply_sources(self.sources.unbooked_time)
+                    self.sources.unbooked_time = 0.0
                 return substeps, False
         return substeps, True
 
-    def save(self, path):
-        """Write the whole state to a file (.npz), from which `load` goes on to the same bytes."""
-        write_solver(self, path)
-
-    def load(self, path):
-        """Take the state that `save` wrote; this solver must be made as that one was."""
-        read_solver(self, path)
-
     def _is_at_rest(self):
         """Whether a step would change no number."""
-        if self.flow.moves or not self.settled or self._rain_sum > 0.0 or self.conditions:
-            return False
-        holds_water = self.flow.h.any() or self.flow.remainder.any() or self.film.any()
-        return not (self.has_losses and holds_water)
+        waits = self.flow.moves or not self.settled or self.conditions
+        return not waits and self.sources.are_idle()
 
     def _stable_step(self, left):
         """Longest step [s] that the waves, the flow and the rain of the step itself allow."""
         dt = min(left, self.flow.stable_step(self.courant))
-        if self._rain_sum > 0.0:
+        if self.sources.rain_sum > 0.0:
             # On dry ground the wave speed is that of the rain of the step, sqrt(g rain dt).
-            rate = self.gravity * float(self._rain.max())
+            rate = self.gravity * self.sources.most_rain()
             dt = min(dt, (self.courant * self.spacing) ** (2 / 3) / rate ** (1 / 3))
-            if not self.flow.moves:
-                dt = min(dt, math.sqrt(QUIET_FALL * self.spacing / self.gravity))
-        if self.conditions:
-            dt = longest_step(self, dt)
-        return dt
+        if not self.flow.moves and (self.sources.rain_sum > 0.0 or self.conditions):
+            dt = min(dt, math.sqrt(QUIET_FALL * self.spacing / self.gravity))
+        return longest_step(self, dt)
 
     def _step(self, dt, last):
         """Advance depth, sources and velocity by `dt` [s]; see the module's docstring."""
@@ -390,31 +341,18 @@ class WaterSolver:
             self._ledger.inflow, self._ledger.outflow = (
                 self._ledger.inflow + came, self._ledger.outflow + left
             )  # fmt: skip
-        if self._rain_sum > 0.0 or self.has_storage or self.has_losses:
-            self._unbooked_time += dt
-            if last or self._unbooked_time >= SOURCE_PERIOD:
-                self._apply_sources(self._unbooked_time)
-                self._unbooked_time = 0.0
+        sources = self.sources
+        if sources.rain_sum > 0.0 or sources.has_storage or sources.has_losses:
+            sources.unbooked_time += dt
+            if last or sources.unbooked_time >= SOURCE_PERIOD:
+                self._apply_sources(sources.unbooked_time)
+                sources.unbooked_time = 0.0
         self.flow.advance_velocity(dt)  # u, v at n+3/2 ("paper": n+1)
         self.settled = True
 
     def _apply_sources(self, dt):
-        """Add deposited drops and the rain of `dt` [s] to film and water, and take the losses."""
-        flow, ledger, area = self.flow, self._ledger, self.spacing**2
-        # Without rain and losses only water that moves can still fill films.
-        everywhere = self._rain_sum > 0.0 or self.has_losses or self._has_deposits
-        tiles = flow.tiles(everywhere)
-        infiltrated = self._infiltrated[: len(tiles)]
-        apply_sources(
-            tiles, self._rain, self.infiltration, self.storage, dt, DRY_DEPTH,
-            flow.h, flow.remainder, self.film, infiltrated,
-        )  # fmt: skip
-        ledger.rain += self._rain_sum * dt * area
-        ledger.infiltrated += float(infiltrated.sum()) * area
-        rows, columns, rates = self.drains
-        if len(rows):
-            ledger.drained += self._drain(rows, columns, rates * dt)
-        flow.note_sources(everywhere)
+        """Apply the sources of `dt` [s], everywhere if drops were deposited."""
+        self.sources.apply(self._ledger, dt, self._has_deposits)
 
     @property
     def choice(self):
@@ -423,16 +361,56 @@ class WaterSolver:
 
     def _choose_scheme(self):
         """Choose scheme and Courant number, "auto" from the state."""
-        h, bed = self.flow.h[self.flow.inner], self.flow.bed[self.flow.inner]
+        h, bed = self.flow.water.h[self.flow.inner], self.flow.bed[self.flow.inner]
         self.scheme, courant, self.reason = choose(self._asked_scheme, h, bed)
         self.courant = courant if self._asked_courant is None else self._asked_courant
 
-    def _set_rain(self, rain):
-        """Fill the map of rain rates and its sum over the cells [m/s]."""
-        if np.ndim(rain) > 0 or rain != self._rain_rate:
-            self._rain[self.flow.inner] = field("rain", rain, self.shape)
-            self._rain_sum = float(self._rain.sum(dtype=np.float64))
-            self._rain_rate = rain if np.ndim(rain) == 0 else None
+    # -- file ----------------------------------------------------------------------------------
+
+    def save(self, path):
+        """Write the whole state to a file (.npz), from which `load` goes on to the same bytes."""
+        write_solver(path, self._made_of(), self._saved())
+
+    def load(self, path):
+        """Take the state that `save` wrote; this solver must be made as that one was."""
+        found = read_solver(path, self._made_of(), self._saved())
+        self.flow.restore(found)
+        self.sources.film[:] = found["film"]
+        self.time, self.sources.unbooked_time, advances, *whether, self.courant = (
+            found["times"].tolist()
+        )  # fmt: skip
+        self._advances, (self._has_deposits, self.settled) = int(advances), map(bool, whether)
+        for condition, numbers in zip(self.conditions, found["volumes"].tolist(), strict=True):
+            condition.volume, condition.flow = numbers
+        self.scheme, self.reason = json.loads(found["choice"])
+        self._ledger = Ledger(*found["account"].tolist())
+        self._book_standing_water()
+
+    def _saved(self):
+        """Return the arrays that make up the state, by name."""
+        times = (
+            self.time, self.sources.unbooked_time, self._advances, self._has_deposits,
+            self.settled, self.courant,
+        )  # fmt: skip
+        volumes = [[condition.volume, condition.flow] for condition in self.conditions]
+        return {
+            **self.flow.saved(), "film": self.sources.film, "times": np.array(times, np.float64),
+            "volumes": np.array(volumes, np.float64).reshape(-1, 2),
+            "account": np.array(astuple(self._ledger)),
+            "choice": np.array(json.dumps([self.scheme, self.reason])),
+        }  # fmt: skip
+
+    def _made_of(self):
+        """Return what the solver was made of, as a text."""
+        bed, roughness, sources = self.flow.bed, self.flow.roughness, self.sources
+        rough = () if roughness is None else (roughness,)
+        kept = {
+            "scheme": self._asked_scheme, "spacing": self.spacing, "gravity": self.gravity,
+            "type": bed.dtype.name,
+            "ground": digest(bed, sources.storage, sources.infiltration, *sources.drains, *rough),
+            "conditions": [[type(c).__name__, c.edge, len(c.rows)] for c in self.conditions],
+        }  # fmt: skip
+        return json.dumps(kept, sort_keys=True)
 
     # -- account -------------------------------------------------------------------------------
 
@@ -441,10 +419,10 @@ class WaterSolver:
 
         Only tiles that changed since the last call are summed again.
         """
-        area, flow = self.spacing**2, self.flow
+        area, flow, water = self.spacing**2, self.flow, self.flow.water
         which = flow.changed_tiles()
         sums = np.empty((3, len(which)))
-        sum_tiles(flow.tiles(True)[which], flow.h, flow.remainder, self.film, *sums)
+        sum_tiles(flow.tiles(True)[which], water.h, water.remainder, self.sources.film, *sums)
         self._standing[:, which] = sums
         self._ledger.ground = float(self._standing[0].sum()) * area
         self._ledger.film = float(self._standing[1].sum()) * area

@@ -65,11 +65,6 @@ class Ledger:
         supplied, accounted = self.supplied, self.accounted
         return -accounted if supplied == 0.0 else (supplied - accounted) / supplied
 
-    @classmethod
-    def from_dict(cls, volumes):
-        """Return the account that `as_dict` gave; a residual in it is ignored."""
-        return cls(**{name: volumes[name] for name in (*SUPPLY, *WHEREABOUTS)})
-
     def as_dict(self) -> dict:
         """Return all volumes [m3] and the residual (a share) by name."""
         volumes = {name: getattr(self, name) for name in (*SUPPLY, *WHEREABOUTS)}

@@ -21,8 +21,8 @@ from rainsim.render.report import FrameReport
 from rainsim.render.shutter import PathMotion, is_too_fast
 from rainsim.render.sunken import sunken_notes
 from rainsim.render.window_ahead import Windows
-from rainsim.simulation import SimState, read_state, simulate, widened, write_state
-from rainsim.terrain.kept import kept_terrain
+from rainsim.simulation import simulate, widened
+from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.path_ground import PathGround, follows_path, path_ground
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.poured import with_water
@@ -31,17 +31,14 @@ from rainsim.terrain.types import Terrain
 __all__ = [
     "FrameReport",
     "FrameSequence",
-    "SimState",
     "Terrain",
     "extract_terrain",
     "frames_of",
     "ground_of",
-    "read_state",
     "render",
     "render_rain",
     "simulate",
     "view_of_water",
-    "write_state",
 ]
 
 READ_AHEAD = 4  # frames: what the camera needs so much later is read beside the drawing

@@ -6,35 +6,29 @@ the capture, the terrain and the seed: the drops in the air follow from the seed
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rainsim.config.settings import mm_per_hour
-from rainsim.drops import GROUND, OBSTACLE, Surfaces, Weather, flat_surfaces, impacts
-from rainsim.errors import InputError, counted
+from rainsim.drops import GROUND, Surfaces, Weather, flat_surfaces, impacts
+from rainsim.errors import counted
 from rainsim.grid import WaterSolver
-from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
-from rainsim.io.files import json_number, parsed_json
-from rainsim.ledger import SUPPLY, WHEREABOUTS
-from rainsim.rain.dripping import DRIP_COLUMNS
+from rainsim.io.states import SimState
 from rainsim.rain.exposure import computed_exposure, rain_exposure
 from rainsim.rain.moving_surfaces import MovingSurfaces
-from rainsim.rain.throws import AT, COLUMNS, NO_THROWS, column
 from rainsim.shading.wetness import evaporation_rate
 from rainsim.terrain.poured import with_standing
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import NO_TOPS
 from rainsim.water.begin import Begin, low_ground
-from rainsim.water.keyframes import level_changes, past_rain_growth
+from rainsim.water.keyframed import moved_water
 from rainsim.water.on_objects import Objects
 from rainsim.water.puddles import WET, doubt, probability, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
 from rainsim.water.streams import run_in, run_off, with_streams
 from rainsim.water.top_water import TopWater
-from rainsim.water.tyres import NO_TRACKS
 from rainsim.water.window_tyres import tyres_of
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
@@ -43,65 +37,6 @@ DRIP_WARM_UP = 1.0  # s of it for the edges of objects: the longest fall from th
 WARM_UP_STEP = 1 / 15  # s
 WINDOW_DEPTH, WINDOW_CHORD = 5e-3, 0.5  # m of the puddles that rings of all windows run on; usual
 DRAIN_INTAKE = 0.1  # m/s that a grating takes at most: 8 l/s through an opening of 0.08 m2
-
-
-@dataclass(frozen=True)
-class SimState:
-    """Water at one frame's time.
-
-    Attributes
-    ----------
-    index : int
-        Of the frame.
-    time : float [s]
-    depth : ndarray of shape (ny, nx), float32 [m]
-    velocity : ndarray of shape (2, ny, nx), float32 [m/s]
-        u, v at cell centres.
-    slopes : ndarray of shape (2, n, n), float32
-        Ripple slopes d eta/dx and d eta/dy on a periodic tile of `tile_size`.
-    tile_size : float [m]
-    impact_position : ndarray of shape (k, 3), float32 [m]
-        Where drops hit between the frame before and this one.
-    impact_diameter : ndarray of shape (k,), float32 [m]
-    impact_kind : ndarray of shape (k,), uint8
-        `drops.GROUND` (or the water on it) or `drops.OBSTACLE`.
-    ledger : dict
-        Volumes in m3, see `rainsim.ledger`.
-    notes : tuple of str
-    drips : ndarray of shape (m, 9), float64
-        Drops from edges that are in the air or have just landed, see `dripping.DRIP_COLUMNS`.
-    drip_id : ndarray of shape (m,), uint64
-    top_water : ndarray of shape (n,), float64 [m3]
-        On each of the terrain's tops, see `water.top_water`.
-    throws : ndarray of shape (t, 22), float64
-        What tyres have thrown that may be in the air, see `tyres.COLUMNS`.
-    throw_id : ndarray of shape (t,), uint64
-    tracks : ndarray of shape (ny, nx) or (0, 0), uint8
-        How full the film is where tyres have passed, of 255; see `Tyres.tracks`. Of a window
-        over all that lies around it.
-    """
-
-    index: int
-    time: float
-    depth: np.ndarray
-    velocity: np.ndarray
-    slopes: np.ndarray
-    tile_size: float
-    impact_position: np.ndarray
-    impact_diameter: np.ndarray
-    impact_kind: np.ndarray
-    ledger: dict
-    notes: tuple = ()
-    drips: np.ndarray = field(default_factory=lambda: np.zeros((0, len(DRIP_COLUMNS))))
-    drip_id: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint64))
-    top_water: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    throws: np.ndarray = field(default_factory=NO_THROWS.copy)
-    throw_id: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint64))
-    tracks: np.ndarray = field(default_factory=NO_TRACKS.copy)
-
-    def shown_by(self, index):
-        """Return this state as the one that the frame `index` shows."""
-        return replace(self, index=index)
 
 
 def surfaces_of(terrain):
@@ -210,15 +145,13 @@ def drains_of(terrain):
     return [(int(row), int(column), rate) for row, column in zip(rows, columns, strict=True)]
 
 
-def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
+def simulate(terrain, config, dtype=np.float32, begin=None):
     """Yield the `SimState` at the time of each frame, from the first on, without end.
 
     Parameters
     ----------
     terrain : Terrain
     config : Config
-    progress : callable, optional
-        progress(stage, done, total) is called before the slow first state.
     dtype : dtype
         Of the water; float64 closes the ledger to rounding.
     begin : Begin, optional
@@ -241,8 +174,7 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
     moving = MovingSurfaces(terrain, *wind)
     surfaces, exposure = moving.still, begin.exposure if begin else rain_exposure(terrain, *wind)
     whole = _area(terrain, exposure)
-    puddle_growth = past_rain_growth(terrain, config, exposure, begun)
-    level_change = level_changes(terrain, config)
+    by_keyframes = moved_water(terrain, config, exposure, begun)
     solver = water_solver(terrain, start, dtype)
     tyres = tyres_of(terrain, config, begin)
     if begin:  # cars have come before the water's account opens
@@ -276,25 +208,18 @@ def simulate(terrain, config, progress=None, dtype=np.float32, begin=None):
                 rings = objects.with_drips(landed, before, time)
                 area = whole if opened is exposure else _area(terrain, opened)
                 ripples.advance(time - before, *tile_impacts(rings, area, ripples.size, time))
-            if level_change is not None:  # what keyframes move
-                objects.let_in(solver, *level_change(before, time))
-            if puddle_growth is not None:
-                solver.deposit(*puddle_growth(before, time))
+            by_keyframes(solver, objects, before, time)
             report = solver.advance(time - before, rain=fine)
         deep, met = np.array(solver.depth, np.float32), _met(hits)
-        ledger = tyres.book(objects.ledger(report, solver), time)
+        flow = np.stack(solver.velocity).astype(np.float32, copy=False)
+        ledger = tyres.book(objects.ledger(report, solver), time).as_dict()
         hits = landed = fine = opened = None  # tens of MB that nobody needs while a frame is drawn
         yield SimState(
-            index, time, deep, _velocity(solver), ripples.slopes(), ripples.size, *met, ledger,
+            index, time, deep, flow, ripples.slopes(), ripples.size, *met, ledger,
             notes if index == first else (), *objects.falling(),
             top_water=objects.top_water(), **tyres.state(deep, time),
         )  # fmt: skip
         index += 1
-
-
-def _velocity(solver):
-    """Return the velocity at cell centres as a state has it."""
-    return np.stack(solver.velocity).astype(np.float32, copy=False)
 
 
 def _filled(solver, terrain, start, exposure, begin):
@@ -391,107 +316,3 @@ def _steps(duration, time):
         (time + (n - count) * WARM_UP_STEP, time + (n + 1 - count) * WARM_UP_STEP)
         for n in range(count)
     ]
-
-
-# --- states on disk -------------------------------------------------------------------------------
-
-STATE_VERSION = 1
-STATE, STATE_REMEDY = "water state", "`rainsim simulate` writes it; simulate again"
-FARTHEST, LONGEST = 1e7, 1e9  # m, s: places and times in a file
-LONGEST_FALL, LARGEST_DROP = 500.0, 0.05  # s, m: of drips
-_FIELDS = {
-    "depth": Field("float32", ("ny", "nx"), 0, 1e5),
-    "velocity": Field("float32", (2, "ny", "nx"), -1e4, 1e4),
-    "slopes": Field("float32", (2, "tile cells", "tile cells"), -1e4, 1e4),
-    "impact_position": Field("float32", ("impacts", 3), -FARTHEST, FARTHEST),
-    "impact_diameter": Field("float32", ("impacts",), 0, LARGEST_DROP),
-    "impact_kind": Field("uint8", ("impacts",), 0, max(GROUND, OBSTACLE)),
-    "drips": Field("float64", ("drips", len(DRIP_COLUMNS)), -LONGEST, LONGEST),
-    "drip_id": Field("uint64", ("drips",), 0, 2**64 - 1),
-    "top_water": Field("float64", ("tops",), 0, 1e9),
-    "throws": Field("float64", ("throws", len(COLUMNS)), -LONGEST, LONGEST),
-    "throw_id": Field("uint64", ("throws",), 0, 2**64 - 1),
-    "tracks": Field("uint8", ("tracks ny", "tracks nx"), 0, 255),
-}
-_OTHERS = {
-    "index": Field("int64", (), 0, 99_999),
-    "time": Field("float64", (), 0, LONGEST),
-    "tile_size": Field("float64", (), 0.01, 100),
-    "ledger": Field(TEXT),
-    "notes": Field(TEXT),
-}
-
-
-def write_state(path, state):
-    """Write the `SimState` `state` to `path` as an uncompressed .npz."""
-    others = {
-        "index": np.int64(state.index), "time": np.float64(state.time),
-        "tile_size": np.float64(state.tile_size), "ledger": json.dumps(state.ledger),
-        "notes": json.dumps(state.notes),
-    }  # fmt: skip
-    write_arrays(path, STATE_VERSION, {n: getattr(state, n) for n in _FIELDS} | others)
-
-
-def read_state(path, terrain=None):
-    """Return the `SimState` that `write_state` wrote, all of it checked.
-
-    Parameters
-    ----------
-    path : path-like
-    terrain : Terrain, optional
-        If given the state must be one of water on it.
-
-    Examples
-    --------
-    >>> rainsim.write_state("00000.npz", state)
-    >>> bool((rainsim.read_state("00000.npz", terrain).depth == state.depth).all())
-    True
-    """
-    found = read_arrays(path, STATE, _FIELDS | _OTHERS, STATE_VERSION, STATE_REMEDY)
-    facts = {"ledger": parsed_json(found["ledger"]), "notes": parsed_json(found["notes"])}
-    tops = 0 if terrain is None else len(terrain.tops)
-    for wrong, text in (
-        (not _are_volumes(facts["ledger"]), "its ledger is not that of rainsim"),
-        (not _are_texts(facts["notes"]), "its notes are not a list of texts"),
-        (found["slopes"].shape[1] < 2, "its tile of ripples has no cells"),
-        (not _fall(found["drips"]), "its drips do not fall"),
-        (terrain is not None and found["depth"].shape != terrain.grid.shape,
-         "it is not of this height map, whose shape is another"),
-        (terrain is not None and len(found["top_water"]) not in (0, tops),
-         "it is not of this height map, which has other tops"),
-        (found["tracks"].shape not in ((0, 0), found["depth"].shape),
-         "its tracks are those of another height map"),
-        (not _are_thrown(found["throws"]), "its tyres do not roll"),
-    ):  # fmt: skip
-        if wrong:
-            raise InputError(f"{path} is no {STATE} of rainsim ({text}); {STATE_REMEDY}")
-    return SimState(
-        index=int(found["index"]), time=float(found["time"]), tile_size=float(found["tile_size"]),
-        ledger=facts["ledger"], notes=tuple(facts["notes"]),
-        **{n: found[n] for n in _FIELDS},
-    )  # fmt: skip
-
-
-def _are_volumes(ledger):
-    """Whether a value read from JSON is an account of volumes."""
-    names = (*SUPPLY, *WHEREABOUTS)
-    return isinstance(ledger, dict) and all(json_number(ledger.get(n)) is not None for n in names)
-
-
-def _are_texts(notes):
-    return isinstance(notes, list) and all(isinstance(note, str) for note in notes)
-
-
-def _are_thrown(table):
-    """Whether the rows of a table of throws have a duration, a way and no negative volumes."""
-    lasts = column(table, "end") > column(table, "begin")
-    rolls = (table[:, AT["x"] : AT["y"] + 1] != table[:, AT["x_end"] : AT["y_end"] + 1]).any(axis=1)
-    sizes = table[:, [AT["width"], AT["radius"], *range(AT["section"], len(COLUMNS))]]
-    return bool((lasts & rolls & (sizes >= 0).all(axis=1)).all())
-
-
-def _fall(drips):
-    """Whether the rows of drips have a size and fall for a while."""
-    diameter, begin, end = drips[:, 4], drips[:, 5], drips[:, 6]
-    fits = (diameter > 0) & (diameter <= LARGEST_DROP)
-    return bool((fits & (end >= begin) & (end - begin <= LONGEST_FALL)).all())

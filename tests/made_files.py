@@ -5,10 +5,8 @@ import zipfile
 
 import numpy as np
 
+from rainsim.io.states import AT, DRIP_COLUMNS, THROW_COLUMNS, SimState
 from rainsim.ledger import Ledger
-from rainsim.rain.dripping import DRIP_COLUMNS
-from rainsim.rain.throws import AT, COLUMNS
-from rainsim.simulation import SimState
 from rainsim.terrain.types import Grid, Terrain, Tops
 
 SHAPE = (9, 12)
@@ -37,7 +35,7 @@ def small_state(index=2):
     """A state of a few millimetres of water on `small_terrain`."""
     drips = np.zeros((2, len(DRIP_COLUMNS)))
     drips[:, 4:7] = 0.005, 0.1, 0.3  # diameter, begin, end
-    throws = np.full((2, len(COLUMNS)), 1e-3)
+    throws = np.full((2, len(THROW_COLUMNS)), 1e-3)
     throws[:, AT["end"]], throws[:, AT["x_end"]] = 0.04, 0.5
     return SimState(
         index, index / 24, np.full(SHAPE, 2e-3, np.float32), np.zeros((2, *SHAPE), np.float32),

@@ -134,7 +134,8 @@ def _write_states(status, ground, terrain, config, preset, out, resume):
     """Simulate and write the states that are not finished yet; return the record and the ledger."""
     from rainsim import output_folder
     from rainsim.io.fingerprint import hash_of_file
-    from rainsim.pipeline import frames_of, write_state
+    from rainsim.io.states import write_state
+    from rainsim.pipeline import frames_of
     from rainsim.pipeline import simulate as simulate_water
 
     source = terrain if terrain.is_dir() else terrain.parent
@@ -258,7 +259,8 @@ def render(
     out = out or options.default_out(states.resolve().name, "frames")
 
     def film(config):
-        from rainsim.pipeline import FrameSequence, read_state
+        from rainsim.io.states import read_state
+        from rainsim.pipeline import FrameSequence
         from rainsim.terrain.map_files import read_terrain
 
         ground = read_terrain(states)

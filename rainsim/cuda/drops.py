@@ -26,9 +26,7 @@ from rainsim.cuda.rain.settling import (
     ROW,
     TIME,
     VALUES,
-    CellLayout,
     ImpactLists,
-    RippleTile,
     X,
     Y,
     Z,
@@ -308,9 +306,8 @@ class Impacts:
 
     Attributes
     ----------
-    found : device array of shape (slots,), int32
-    values, labels, ids : device arrays
-        The lists, in no order; see `fill_impacts`.
+    lists : ImpactLists
+        In no order.
     obstacles : device array of shape (1,), int64
         Volume that fell on obstacles since the start, in VOLUME_UNIT.
     surfaces : HeightFields
@@ -318,13 +315,12 @@ class Impacts:
     """
 
     def __init__(self, field, surfaces, room, stream=0, slots=1):
-        self.stream, self._map, self._listed = stream, surfaces, None
+        self.stream, self._listed = stream, None
         corner, (ny, nx) = np.array([*surfaces.origin, 0.0]), surfaces.shape
         self._corners = corner, corner + np.array([nx, ny, 0.0]) * surfaces.spacing
         f8, i8, i4 = np.float64, np.int64, np.int32
         self.surfaces = sent_surfaces(surfaces, stream)
-        self._no_point = to_device(np.zeros((0, 0), i4), stream)
-        self._no_drips = to_device(np.zeros(0, i8), stream)
+        self._no_drips = to_device(np.zeros((0, 0), i4), stream), to_device(np.zeros(0, i8), stream)
         names = {
             "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
             "times": ((2,), f8), "slot": ((1,), i4), "sought": ((1,), i4),
@@ -337,12 +333,13 @@ class Impacts:
         many = SOUGHT * room + 2**16  # those near tall things are sought for longer
         self._tasks = cuda.device_array((many, 2), i4, stream=stream)
         self._words = cuda.device_array(many, np.uint64, stream=stream)
-        self.room, self.room_sought = room, many
-        self.found = to_device(np.zeros(slots, i4), stream)
-        self.values = cuda.device_array((slots, room, VALUES), f8, stream=stream)
-        self.labels = cuda.device_array((slots, room, LABELS), i4, stream=stream)
-        self.ids = cuda.device_array((slots, room), np.uint64, stream=stream)
-        self.lists = ImpactLists(self.found, self.values, self.labels, self.ids)
+        self.room = room
+        self.lists = ImpactLists(
+            to_device(np.zeros(slots, i4), stream),
+            cuda.device_array((slots, room, VALUES), f8, stream=stream),
+            cuda.device_array((slots, room, LABELS), i4, stream=stream),
+            cuda.device_array((slots, room), np.uint64, stream=stream),
+        )
         self.obstacles = to_device(np.zeros(1, i8), stream)
 
     def update(self, field, start, stop, smallest=0.0, slot=0):
@@ -370,7 +367,7 @@ class Impacts:
         self.now.send(stream)
         times, slot, sought = self.now["times"], self.now["slot"], self.now["sought"]
         seek[BLOCKS, THREADS, stream](
-            self._columns, times, slot, self._field, self.surfaces, self.found, sought,
+            self._columns, times, slot, self._field, self.surfaces, self.lists.found, sought,
             self._tasks, self._words,
         )  # fmt: skip
         fill_impacts[BLOCKS, THREADS, stream](
@@ -378,25 +375,23 @@ class Impacts:
             self.surfaces, *self.lists,
         )  # fmt: skip
 
-    def settle(self, water, ripples, share, stream=0, point=None, came=None):
-        """Queue the giving of a list's water to `water` and `ripples`; a `share` rings on the tile.
+    def settle(self, water, ripples, stream=0, drips=None):
+        """Queue the giving of a list's water to `water` and `ripples`.
 
-        Where objects drip, `point` and `came` are those of `cuda.rain.dripping.Drips`.
+        Where objects drip, `drips` are `point` and `came` of `cuda.rain.dripping.Drips`.
         """
         self.settled.send(stream)
-        if came is None:
-            point, came = self._no_point, self._no_drips
+        point, came = drips or self._no_drips
         blocks = -(-self.room // THREADS) if not SIMULATED else 2
         settle[blocks, THREADS, stream](
             self.lists, self.settled["times"], self.settled["slot"], self._fall,
-            CellLayout(water.first, water.width, self._map.spacing**2),
-            RippleTile(ripples.size, ripples.steps, ripples.cells, share), point, water.waiting,
-            self.obstacles, came, ripples.pushes,
+            water.cells,
+            ripples.tile, point, water.waiting, self.obstacles, came, ripples.pushes,
         )  # fmt: skip
 
     def missing(self):
         """Return how many hits the first list had no room for; waits for them."""
-        return max(int(fetch(self.found, self.stream)[0]) - self.room, 0)
+        return max(int(fetch(self.lists.found, self.stream)[0]) - self.room, 0)
 
 
 def sent_surfaces(surfaces, stream):

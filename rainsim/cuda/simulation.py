@@ -24,22 +24,20 @@ from rainsim.config.settings import mm_per_hour
 from rainsim.cuda.driver import Event, one_fault, send
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.grid import Water
-from rainsim.cuda.jit import cuda, pinned
+from rainsim.cuda.jit import cuda
 from rainsim.cuda.rain.dripping import Drips, volumes
 from rainsim.cuda.rain.impact_history import RecentImpacts
 from rainsim.cuda.rain.settling import VOLUME_UNIT
-from rainsim.cuda.water import step_control
 from rainsim.cuda.water.ripples import Ripples
-from rainsim.cuda.water.tyres import Traffic
+from rainsim.cuda.water.step_control import LEFT
+from rainsim.cuda.water.tyres import NOTHING_THROWN, Traffic
 from rainsim.drops import Weather
 from rainsim.errors import DivergedError
-from rainsim.rain.dripping import DRIP_COLUMNS
+from rainsim.io.states import NO_DRIPS, NO_IDS
 from rainsim.rain.exposure import rain_exposure
-from rainsim.rain.throws import NO_THROWS
 from rainsim.reflection.slope_moments import ripple_moments
-from rainsim.water.keyframes import level_changes, past_rain_growth
+from rainsim.water.keyframed import moved_water
 from rainsim.water.ripples import LAYERS
-from rainsim.water.tyres import NO_TRACKS
 
 
 class DeviceState:
@@ -67,7 +65,7 @@ class DeviceState:
     def __init__(self, index, time, simulation, notes=()):
         self.index = self.step = index
         self.time, self.simulation, self.notes = time, simulation, notes
-        self.tile_size, self.page = simulation.ripples.size, index % 2
+        self.tile_size, self.page = simulation.ripples.tile.size, index % 2
         self.top_water = simulation.top_water()
 
     def shown_by(self, index):
@@ -126,9 +124,7 @@ class DeviceState:
 
     def _drips(self):
         listed = self.drip_list
-        if listed is None:
-            return np.zeros((0, len(DRIP_COLUMNS))), np.zeros(0, np.uint64)
-        return listed.fetch()
+        return (NO_DRIPS, NO_IDS) if listed is None else listed.fetch()
 
     @property
     def ledger(self):
@@ -157,34 +153,28 @@ class Simulation:
         asked = config.water.scheme
         if asked == "auto":
             config = replace(config, water=replace(config.water, scheme="lean"))
-        self.terrain, self.config = terrain, config
-        self.stream = cuda.stream()
-        self.weather = Weather(config)
+        self.config, self.weather, stream = config, Weather(config), cuda.stream()
         surfaces = host.surfaces_of(terrain)
         wind = host.usual_wind(config), config.rain.roughness
         exposure = rain_exposure(terrain, *wind)
-        start = config.at(0.0)
-        depth, self.notes = host.initial_water(terrain, start, exposure)
-        self._puddle_growth = past_rain_growth(terrain, config, exposure)
-        self._level_change = level_changes(terrain, config)
+        start, interval = config.at(0.0), 1 / config.fps
+        depth, notes = host.initial_water(terrain, start, exposure)
+        self._by_keyframes = moved_water(terrain, config, exposure)
         solver = host.water_solver(terrain, start)
         solver.set_state(depth)
         why = "auto: the scheme of a CUDA device" if asked == "auto" else solver.reason
-        self.notes = (*self.notes, f"water: scheme {solver.scheme} ({why})")
+        self.notes = (*notes, f"water: scheme {solver.scheme} ({why})")
         tile = host.ripple_tile(config, self.weather, (depth, terrain.grid.spacing))
         self._objects = host.Objects(surfaces, start, *host.tops_of(terrain, config, start))
         host.warm_up(tile, self._objects, self.weather)
         self._objects.open_account()
-        self._first_slopes = tile.slopes()
-        interval = 1 / config.fps
         self._traffic = None
         if terrain.footprints:
             self._traffic = Traffic(terrain, config, wind, exposure)
             self._traffic.tyres.start(solver, self.weather)
-        self.water = Water(solver, exposure, stream=self.stream)
-        self._beside = cuda.stream()
-        self.ripples = Ripples(tile, interval, self._beside)
-        self._share = self._share_of(exposure)
+        self.water = Water(solver, exposure, stream=stream)
+        self.ripples = Ripples(tile, interval, cuda.stream(), self._ringing(tile.size, exposure))
+        send(self.ripples.moments, ripple_moments(tile.slopes()))
         self.impacts = self.drips = None
         if self.weather.rains:
             # An exposure is no longer than a frame: it sees one interval that is still to come.
@@ -193,26 +183,20 @@ class Simulation:
             rate = self.weather.field(0.0, interval).listed.rate
             self.drips = Drips(
                 self._objects.drips, self.impacts, rate, interval, config.rain.roughness,
-                self.stream,
+                stream,
             )  # fmt: skip
         if self._traffic is not None:
             self._traffic.roll_over(self.water, self.impacts)
-        self._control = pinned(step_control.CONTROL, np.float64)
-        self._obstacles = pinned(1, np.int64)
-        self._ready, self._listed, self._forked, self._joined = (Event() for _ in range(4))
-        self._drawn = Event(), Event()  # with either page
-        self._steps, self._lists = [None, None], None
+        self._ready, self._drawn = Event(), (Event(), Event())  # a step; what draws either page
+        self._steps, self._accounts = [None, None], [None, None]
         self._index = self._begun = self._complete = self._late = -1
-        self._accounts = [None, None]
-        nothing = {"tracks": NO_TRACKS, "throws": NO_THROWS, "throw_id": np.zeros(0, np.uint64)}
-        self._thrown = [nothing, nothing]
         self._fallen = 0.0  # m of rain since the start
         self.is_shown = False
 
-    def _share_of(self, exposure):
-        """Return the share of the drops on a map's ground that ring on the tile."""
-        area = float(exposure.sum()) * self.terrain.grid.cell_area
-        return self.ripples.size**2 / area / LAYERS if area > 0 else 0.0
+    def _ringing(self, size, exposure):
+        """Return the share of the drops on a map's ground that ring on a tile of a size [m]."""
+        area = float(exposure.sum()) * self.water.cells.area
+        return size**2 / area / LAYERS if area > 0 else 0.0
 
     def top_water(self):
         """Return the water on each top [m3] (n,) at the time of the last state."""
@@ -237,6 +221,9 @@ class Simulation:
         """
         return index <= self._begun + 1
 
+    def _interval(self, index):
+        return (index - 1) / self.config.fps, index / self.config.fps
+
     def begin(self, index):
         """Queue the steps up to that number, none beyond the one that `advance` has said last."""
         for step in range(self._begun + 1, index + 1):
@@ -245,44 +232,36 @@ class Simulation:
     def _begin(self, index):
         if index > 0 and self._traffic is not None:
             self.complete()
-            self._share = self._share_of(self._traffic.thin_rain())
+            tile = self.ripples.tile
+            share = self._ringing(tile.size, self._traffic.thin_rain())
+            self.ripples.tile = tile._replace(share=share)
         if index > 0:
-            self._bring((index - 1) / self.config.fps, index / self.config.fps)
+            self._bring(*self._interval(index))
         if self.impacts is not None:
             self.impacts.update(index)
         self.complete()
-        page, self._begun = index % 2, index
-        self.water.turn_page(page)
+        page, stream, self._begun = index % 2, self.water.stream, index
+        self.water.page = page
         self.ripples.turn_page(page)
-        if index == 0:
-            self._show_first_slopes()
-        else:
-            if self._puddle_growth is not None:
-                self.water.deposit(*self._puddle_growth(*self._interval))
-            if self._level_change is not None:
-                self._objects.let_in(self.water, *self._level_change(*self._interval))
-            self._listed.wait(self.stream)
-            self._drawn[page].wait(self.stream)
+        if index > 0:
+            self._by_keyframes(self.water, self._objects, *self._interval(index))
+            if self.impacts is not None:
+                self.impacts.listed.wait(stream)
+            self._drawn[page].wait(stream)
             if index == 1 or self._traffic is not None:
                 self.launch()  # compiles; that was the step itself
             else:
                 if self._steps[page] is None:
-                    self._steps[page] = Graph(self.stream, self.launch)
+                    self._steps[page] = Graph(stream, self.launch)
                 self._steps[page].launch()
-        self._ready.record(self.stream)
+        self._ready.record(stream)
         if self.impacts is None:
             return
         if self._traffic is not None:
-            self._listed.synchronize()
-            before, after = (n / self.config.fps for n in (index, index + 1))
+            self.impacts.listed.synchronize()
+            before, after = self._interval(index + 1)
             self._traffic.cover(0.5 * (before + after))
-        if self._lists is None:
-            self.impacts.launch()
-            self.impacts.stream.synchronize()
-            self._lists = Graph(self.impacts.stream, self.impacts.launch)
-        else:
-            self._lists.launch()
-        self._listed.record(self.impacts.stream)
+        self.impacts.list_beside()
 
     def complete(self):
         """Wait for the step that has begun, and let it go on if it was not at its end.
@@ -295,55 +274,44 @@ class Simulation:
         if self._complete == self._begun:
             return
         self._complete = index = self._begun
+        account = self.water.account
         self._ready.synchronize()
         if index == 0:
-            self._accounts[0] = self.water.control(), *self._of_objects()
-            self._look_at_tracks(index)
-            return
-        while self._control[step_control.LEFT] > 0.0:
-            self.water.go_on()
-            self.water._control.copy_to_host(self._control, stream=self.stream)
-            self.stream.synchronize()
-            self._late = index
-        if not np.isfinite(self._control).all():
-            raise DivergedError(
-                "the water on the CUDA device is no longer finite; use a smaller courant than "
-                f"{self.config.water.courant}"
-            )
-        self._accounts[index % 2] = self._control.copy(), *self._of_objects()
-        self._look_at_tracks(index)
-
-    def _of_objects(self):
-        """Return what is beside the ground.
-
-        The volume on obstacles [VOLUME_UNIT], account of drips or None, inflow [m3], tyres or None.
-        """
+            control = account.fetch()
+        else:
+            while account.seen[LEFT] > 0.0:
+                self.water.go_on()
+                account.copy()
+                self.water.stream.synchronize()
+                self._late = index
+            if not np.isfinite(account.seen).all():
+                raise DivergedError(
+                    "the water on the CUDA device is no longer finite; use a smaller courant than "
+                    f"{self.config.water.courant}"
+                )
+            control = account.seen.copy()
+        fallen = 0 if self.impacts is None else int(self.impacts.fallen[0])
         drips = None if self.drips is None else self.drips.account.copy()
-        tyres = None if self._traffic is None else copy.copy(self._traffic.tyres)
-        return int(self._obstacles[0]), drips, self._objects.inflow, tyres
-
-    def _look_at_tracks(self, index):
+        tyres = None
         if self._traffic is not None:
-            time = index / self.config.fps
-            self._thrown[index % 2] = self._traffic.state(self.water.depths[index % 2], time)
+            self._traffic.look(index % 2, index / self.config.fps)
+            tyres = copy.copy(self._traffic.tyres)
+        self._accounts[index % 2] = control, fallen, drips, self._objects.inflow, tyres
 
     def thrown(self, index):
         """Return throws, their ids and tracks of a step, at the earliest the last but one."""
-        if self._traffic is not None:
-            self.begin(index)
-            if index == self._begun:
-                self.complete()
-        return self._thrown[index % 2]
-
-    def _show_first_slopes(self):
-        send(self.ripples.moments, ripple_moments(self._first_slopes))
+        if self._traffic is None:
+            return NOTHING_THROWN
+        self.begin(index)
+        if index == self._begun:
+            self.complete()
+        return self._traffic.thrown[index % 2]
 
     def _bring(self, before, time):
         """Set the rain that falls between two times."""
         field = self.weather.field(before, time)
-        self._interval = before, time
         finer = 0.0 if field is None else field.spectrum.fine_rate
-        self.water.update(time - before, finer)
+        self.water.account.update(time - before, finer, True)
         if self.drips is not None:
             wind = self.weather.wind(0.5 * (before + time))
             self.drips.update(before, time, wind, finer * (time - before))
@@ -353,30 +321,26 @@ class Simulation:
 
         Nothing here waits, allocates or reads results, unless tyres roll.
         """
-        if self.impacts is not None:
-            land = self.water, self.ripples, self._share, self.stream
-            if self.drips is None:
-                self.impacts.settle(*land)
-            else:
-                page = self.water.page
-                self.impacts.settle(*land, self.drips.point, self.drips.came[page])
-                self.drips.launch(page, *land)
-            self.impacts.obstacles.copy_to_host(self._obstacles, stream=self.stream)
+        stream = self.water.stream
+        land = self.water, self.ripples, stream
+        if self.drips is not None:
+            page = self.water.page
+            self.impacts.settle(*land, (self.drips.point, self.drips.came[page]))
+            self.drips.launch(page, *land)
+        elif self.impacts is not None:
+            self.impacts.settle(*land)
         if self._traffic is not None:
-            self._traffic.roll(*self._interval, self.weather)
-        self._forked.record(self.stream)
-        self._forked.wait(self._beside)
-        self.ripples.launch()
-        self._joined.record(self._beside)
+            self._traffic.roll(*self._interval(self._begun), self.weather)
+        self.ripples.fork(stream)
         self.water.launch()
-        self.water._control.copy_to_host(self._control, stream=self.stream)
-        self._joined.wait(self.stream)
+        self.water.account.copy()
+        self.ripples.join(stream)
 
     def before(self, stream, falls=True):
         """Let another stream wait for the step that has begun and, if it `falls`, the impacts."""
         self._ready.wait(stream)
-        if falls:
-            self._listed.wait(stream)
+        if falls and self.impacts is not None:
+            self.impacts.listed.wait(stream)
 
     def after(self, stream, page):
         """Let the next step that writes to the `page` wait for work queued on another stream."""
@@ -413,12 +377,15 @@ class Simulation:
         if drips is not None:
             held, airborne, returned, fine = volumes(drips)
             came += fine
-        ledger = self.water.ledger(control)
-        ledger = self._objects.with_objects(ledger, came, returned, held, airborne, inflow)
-        return ledger if tyres is None else tyres.book(ledger, index / self.config.fps)
+        ledger = self.water.account.ledger(control)
+        own = came, returned, held, airborne, inflow
+        ledger = self._objects.with_objects(ledger, *own)
+        if tyres is not None:
+            ledger = tyres.book(ledger, index / self.config.fps)
+        return ledger.as_dict()
 
 
-def simulate(terrain, config, progress=None):
+def simulate(terrain, config):
     """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end."""
     run = Simulation(terrain, config)
     while True:

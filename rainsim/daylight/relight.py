@@ -32,9 +32,9 @@ from rainsim.daylight.light import (
     sunlit,
     turn_to_the_open,
 )
+from rainsim.daylight.lit_surface import carried, luminance, surface_of
 from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_shade
 from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, of_one_paint, places_of, seen_from
-from rainsim.daylight.surface import carried, luminance, surface_of
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
 from rainsim.daylight.visibility import Window, solids_of, with_plane, with_splats
 from rainsim.jit import get_num_threads

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from rainsim.daylight.lit_surface import luminance
 from rainsim.daylight.sky_light import hemisphere
-from rainsim.daylight.surface import luminance
 from rainsim.daylight.visibility import (
     BATCH,
     COARSER,

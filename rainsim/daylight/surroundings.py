@@ -14,8 +14,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rainsim.constants import HALF, ONE, QUARTER, ZERO
+from rainsim.daylight.lit_surface import luminance
 from rainsim.daylight.sky_light import hemisphere
-from rainsim.daylight.surface import luminance
 from rainsim.jit import cpu_kernel, device_function, get_num_threads, prange
 
 CELL, COARSER = 0.4, 1.26  # m, of the patches, and the factor by which cells grow

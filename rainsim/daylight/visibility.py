@@ -68,7 +68,7 @@ def solids_of(surface):
 
 
 def with_splats(solids, splats):
-    """Return solids and the solid splats of a `surface.kept.Found`, whose leaves are finer."""
+    """Return solids and solid splats of a `surface.kept_surface.Found`, whose leaves are finer."""
     return Solids(
         np.concatenate([solids.position, splats[:, :3]]),
         np.concatenate([solids.covariance, splats[:, 3:9]]),

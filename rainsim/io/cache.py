@@ -45,8 +45,8 @@ HASHING_THREADS = 4
 # The rooms in the order of their imports: what one computes can depend on no later one. The order
 # is a house rule with a test, which also holds this list to it.
 STAGES = (
-    "errors", "jit", "constants", "compiling", "numerics", "config", "io", "scene", "actors",
-    "splatting", "raster", "surface", "lod", "demo_scenes", "terrain", "rain", "drops", "ledger",
+    "errors", "jit", "constants", "ledger", "compiling", "numerics", "config", "io", "scene",
+    "actors", "splatting", "raster", "surface", "lod", "demo_scenes", "terrain", "rain", "drops",
     "water", "grid", "shading", "daylight", "ssr", "reflection", "particles", "simulation",
 )  # fmt: skip
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba", "llvmlite")

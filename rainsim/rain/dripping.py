@@ -180,7 +180,7 @@ class Drips:
         return row[down], column[down], volume[down]
 
     def falling(self):
-        """Return drips in the air and those that have just landed: see `DRIP_COLUMNS`, and ids."""
+        """Return drips in the air and just landed, see `io.states.DRIP_COLUMNS`, and their ids."""
         both = _join(self._flight, self._landed)
         site = both["site"]
         table = np.stack(
@@ -232,10 +232,6 @@ class Drips:
             "site": site, "diameter": diameter, "begin": begin, "end": end, "id": ids,
             "wind_x": wind[0], "wind_y": wind[1],
         }  # fmt: skip
-
-
-# in m, s and m/s; the wind is that at half the height of the fall
-DRIP_COLUMNS = ("x", "y", "top", "bottom", "diameter", "begin", "end", "wind_x", "wind_y")
 
 
 @device_function

@@ -5,8 +5,8 @@ and Heffley 1978): the bow wave ahead of the tyre, the side waves, what the groo
 pick up, and the film that clings to the rubber between them (capillary adhesion). A part of each
 becomes mist, which hangs behind the car; the other drops fly on their own.
 
-A row of a table of throws is what one tyre threw in one short step of time, see `COLUMNS`. All that
-flies follows from rows, their ids and the time alone.
+A row of a table of throws is what one tyre threw in one short step of time, see
+`THROW_COLUMNS`. All that flies follows from rows, their ids and the time alone.
 
 References
 ----------
@@ -27,6 +27,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY
+from rainsim.io.states import AT
 from rainsim.numerics.random import mix, subkey, uniform_triple
 from rainsim.rain.size_distribution import LARGEST, terminal_speed
 
@@ -68,14 +69,6 @@ RISE, SPAN = 0.30, 0.22  # of the root of the vehicle's section: the mist's heig
 WAKE, WAKE_TIME = 0.35, 0.5  # share of the speed with which the wake follows, and how long [s]
 JOINED = (0.3, 1 / 12), (1.5, 1 / 6)  # s: mist older than the first is one puff for the second
 STIRRED = 0.08  # m2/s, the turbulence that spreads mist
-
-COLUMNS = (
-    "begin", "end", "x", "y", "z", "x_end", "y_end", "out_x", "out_y", "width", "radius",
-    "covered", "car", "wind_x", "wind_y", "section", "depth", "bow", "side", "tread", "film",
-    "mist",
-)  # fmt: skip
-AT = {name: k for k, name in enumerate(COLUMNS)}
-NO_THROWS = np.zeros((0, len(COLUMNS)))
 
 
 class Parcels(NamedTuple):
@@ -130,7 +123,7 @@ class Puffs(NamedTuple):
 
 
 def column(table, name):
-    """Return a column of a table of throws by its name in `COLUMNS`."""
+    """Return a column of a table of throws by its name in `io.states.THROW_COLUMNS`."""
     return table[:, AT[name]]
 
 

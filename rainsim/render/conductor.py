@@ -12,6 +12,7 @@ import numpy as np
 
 from rainsim.actors.footprint import with_footprints
 from rainsim.drops import Weather
+from rainsim.io.states import NO_TRACKS
 from rainsim.particles import drop_radiance
 from rainsim.particles.splash import LONGEST_LIFE
 from rainsim.rain.moving_surfaces import MovingSurfaces
@@ -34,7 +35,6 @@ from rainsim.shading.calibration import (
 from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import tops_drawn, usual_wind
 from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings, taller_rings
-from rainsim.water.tyres import NO_TRACKS
 
 # What is chosen before the first frame, and again when settings that it reads have changed.
 SET_UP = (

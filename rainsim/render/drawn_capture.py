@@ -45,7 +45,7 @@ class DrawnCapture:
     rasterizer_of : callable
         rasterizer_of(prepared) returns what draws prepared splats.
     normals : tuple, optional
-        See `surface.kept.splat_normals`.
+        See `surface.kept_surface.splat_normals`.
 
     Attributes
     ----------

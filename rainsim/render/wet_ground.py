@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from rainsim.io.states import NO_TRACKS
 from rainsim.shading import wetness
 from rainsim.shading.bodies import BodyMap
 from rainsim.shading.wetting import GroundMaps
-from rainsim.water.tyres import NO_TRACKS
 
 
 class WetGround:

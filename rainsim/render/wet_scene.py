@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.daylight.kept import kept_relight
+from rainsim.daylight.kept_light import kept_relight
 from rainsim.numerics.mipmap import coarsened
 from rainsim.rain.exposure import rain_exposure
 from rainsim.raster import Rasterizer
@@ -29,7 +29,7 @@ from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_w
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import GroundMaps, SkyMaps
 from rainsim.simulation import usual_wind
-from rainsim.surface.kept import kept_surface, splat_normals
+from rainsim.surface.kept_surface import kept_surface, splat_normals
 
 BRIGHT_SKY = 0.15  # mean linear light above which a far pixel shows the captured sky
 

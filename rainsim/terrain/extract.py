@@ -16,7 +16,7 @@ from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
 from rainsim.lod.held_parts import scene_over
 from rainsim.scene.types import Camera
-from rainsim.surface.kept import kept_surface
+from rainsim.surface.kept_surface import kept_surface
 from rainsim.surface.sweep import ground_sweep
 from rainsim.terrain import bed as bedding
 from rainsim.terrain import filters

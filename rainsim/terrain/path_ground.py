@@ -16,7 +16,7 @@ from rainsim.actors.footprint import footprints_of, with_footprints
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import BackendError, ParameterError
 from rainsim.terrain.extract import MARGIN, arrays_over
-from rainsim.terrain.kept import kept_terrain
+from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.map_size import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.stations import (
     HIGH,

@@ -29,7 +29,7 @@ from rainsim.scene.camera_rule import RIGID_TOLERANCE
 from rainsim.scene.cameras import resize_to
 from rainsim.terrain.classify import painted_mask
 from rainsim.terrain.pond import without_images
-from rainsim.view.water import SharedWater
+from rainsim.view.water_states import SharedWater
 
 MIRRORS = ("auto", "mirror")  # reflections that draw the capture again
 

@@ -15,7 +15,6 @@ from rainsim.errors import ParameterError, require_choice
 from rainsim.water.inputs import EDGES
 from rainsim.water.series import Series, series
 
-QUIET_FALL = 0.5  # cells that water may fall from rest in the first step that moves it
 HALVINGS = 30  # of the share that a rating curve leaves: to 1e-9 of it
 
 
@@ -234,14 +233,12 @@ def place_all(conditions, bed, pad, is_open):
 def longest_step(solver, dt):
     """Return the step [s], at most `dt`, that the waves of what comes in allow."""
     start, room = solver.time, solver.courant * solver.spacing
-    if not solver.flow.moves:
-        dt = min(dt, math.sqrt(QUIET_FALL * solver.spacing / solver.gravity))
     for condition in solver.conditions:
         rate = condition.rate(start, start + dt, solver.spacing**2)
         if rate > 0.0:  # as for rain on dry ground
             dt = min(dt, room ** (2 / 3) / (solver.gravity * rate) ** (1 / 3))
         deep = condition.deepest(start, start + dt)
-        jump = deep - float(solver.flow.h[condition.at].max())
+        jump = deep - float(solver.flow.water.h[condition.at].max())
         if jump > 0.0:
             wave = math.sqrt(solver.gravity * deep) + math.sqrt(2 * solver.gravity * jump)
             dt = min(dt, room / (wave + solver.flow.water_speed))
@@ -261,19 +258,21 @@ def apply_conditions(solver, start, end, dry):
     dry : float [m]
         Depths below do not flow.
     """
-    flow, film, area = solver.flow, solver.film, solver.spacing**2
+    (h, remainder, _, _), film, area = solver.flow.water, solver.sources.film, solver.spacing**2
     came = left = 0.0
     for condition in solver.conditions:
         at = condition.at
         held = film[at].astype(np.float64)
-        free = flow.h[at].astype(np.float64) + flow.remainder[at]
+        free = h[at].astype(np.float64) + remainder[at]
         wanted = np.maximum(condition.change(held + free, start, end, area) - held, 0.0)
-        flow.h[at] = np.where(wanted >= dry, wanted, 0.0)
-        flow.remainder[at] = wanted - flow.h[at]
-        now = flow.h[at].astype(np.float64) + flow.remainder[at]
+        h[at] = np.where(wanted >= dry, wanted, 0.0)
+        remainder[at] = wanted - h[at]
+        now = h[at].astype(np.float64) + remainder[at]
         change = float((now - free).sum()) * area
         condition.volume += change
         condition.flow = change / (end - start)
         came, left = came + max(change, 0.0), left + max(-change, 0.0)
-        flow.note_cells(condition.edge, condition.rows, condition.columns, now - free, end - start)
+        solver.flow.note_cells(
+            condition.edge, condition.rows, condition.columns, now - free, end - start
+        )
     return came, left

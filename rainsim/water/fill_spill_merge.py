@@ -20,6 +20,7 @@ import numpy as np
 
 from rainsim.errors import ParameterError, require_not_negative, require_positive
 from rainsim.jit import device_function, serial_kernel
+from rainsim.water.inputs import require_bed
 
 # Where a path down ends, besides a leaf of the tree (its number, from 1 on).
 OUT = -1
@@ -95,7 +96,7 @@ class SpillGraph:
     def __init__(
         self, bed, spacing, permeable=None, minimum_depth=0.0, minimum_area=0.0, open_edges=True
     ):
-        bed = _require_bed(bed)
+        bed = np.ascontiguousarray(require_bed(bed, least=1))
         self.shape = bed.shape
         self.spacing = require_positive("spacing", spacing, "m")
         minimum_depth = require_not_negative("minimum_depth", minimum_depth, "m")
@@ -434,18 +435,6 @@ def _cell_kinds(shape, permeable, open_edges):
             )
         kind[permeable] = PERMEABLE
     return kind
-
-
-def _require_bed(bed):
-    bed = np.ascontiguousarray(bed, np.float64)
-    if bed.ndim != 2 or bed.size == 0:
-        raise ParameterError(f"bed has shape {bed.shape}; it must be a map (rows, columns)")
-    if not np.isfinite(bed).all():
-        holes = np.count_nonzero(~np.isfinite(bed))
-        raise ParameterError(
-            f"bed has {holes} cells that are not finite; heights must be; fill the holes first"
-        )
-    return bed
 
 
 def _require_rainfall(rainfall, shape):

@@ -9,7 +9,6 @@ import numpy as np
 
 from rainsim.errors import ParameterError, require_not_negative, require_positive
 from rainsim.io.files import replacing
-from rainsim.water.inputs import EDGES
 
 
 class Gauges:
@@ -51,7 +50,7 @@ class Gauges:
                     f"{solver.shape[0] - 1} and columns from 0 to {solver.shape[1] - 1}"
                 )
         self._cells = [(int(row), int(column)) for row, column in (cells or {}).values()]
-        self._edges = [edge for edge in EDGES if solver.is_open[edge]]
+        self._edges = solver.flow.open_edges()
         names = [f"{name}_{what}" for name in cells or {} for what in ("depth_m", "u_m_s", "v_m_s")]
         names += [f"outflow_{edge}_m3_s" for edge in self._edges]
         seen = Counter()
@@ -64,13 +63,11 @@ class Gauges:
     def read(self):
         """Take a reading of the present state."""
         solver, flow = self._solver, self._solver.flow
-        (u, v), row = flow.faces(), [solver.time]
+        (u, v), (h, remainder, _, _), row = flow.faces(), flow.water, [solver.time]
         for j, i in self._cells:
-            at = j + solver.flow.pad, i + solver.flow.pad
-            wet = solver.flow.h[at] > 0
-            row.append(
-                float(solver.film[at]) + float(solver.flow.h[at] + solver.flow.remainder[at])
-            )
+            at = j + flow.pad, i + flow.pad
+            wet = h[at] > 0
+            row.append(float(solver.sources.film[at]) + float(h[at] + remainder[at]))
             row.append(0.5 * float(u[j, i] + u[j, i + 1]) if wet else 0.0)
             row.append(0.5 * float(v[j, i] + v[j + 1, i]) if wet else 0.0)
         row += [solver.discharge(edge) for edge in self._edges]

@@ -8,7 +8,6 @@ from rainsim.errors import ParameterError, require_choice, require_not_negative,
 
 BOUNDARIES = ("wall", "open")
 EDGES = ("west", "east", "south", "north")
-MIN_CELLS = 2  # per side, so that there is a face between two cells
 
 
 def require_drains(drains, shape):
@@ -45,13 +44,15 @@ def refuse_viscosity(viscosity):
         )
 
 
-def require_bed(bed):
-    """Return `bed` as a float64 map, or raise ParameterError."""
+def require_bed(bed, least=2):
+    """Return `bed` as a float64 map of `least` cells a side or more, or raise ParameterError.
+
+    Two cells a side have a face between them.
+    """
     bed = np.asarray(bed, np.float64)
-    if bed.ndim != 2 or min(bed.shape) < MIN_CELLS:
+    if bed.ndim != 2 or min(bed.shape) < least:
         raise ParameterError(
-            f"bed has shape {bed.shape}; it must be a map of at least {MIN_CELLS} by {MIN_CELLS} "
-            "cells"
+            f"bed has shape {bed.shape}; it must be a map of at least {least} by {least} cells"
         )
     holes = int(np.count_nonzero(~np.isfinite(bed)))
     if holes:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rainsim.drops import GROUND, joined
-from rainsim.ledger import Ledger
 from rainsim.rain.dripping import Drips, drip_impacts
 
 SMALLEST_ROOM = 1e-30  # m3, keeps tops without water from a division by zero
@@ -125,7 +126,7 @@ class Objects:
         return () if self.drips is None else self.drips.falling()
 
     def ledger(self, report, solver):
-        """Return the solver's ledger with the objects' water in it, as a dict."""
+        """Return the solver's ledger with the objects' water in it."""
         held, airborne = self._kept, 0.0
         if self.drips is not None:
             held, airborne = held + self.drips.held, self.drips.airborne
@@ -133,16 +134,14 @@ class Objects:
         return self.with_objects(ledger, self._came, self._returned, held, airborne, self.inflow)
 
     def with_objects(self, ledger, came, returned, held, airborne, inflow):
-        """Return a solver's ledger as a dict, with the objects' water [m3] in it.
+        """Return a solver's ledger with the objects' water [m3] in it.
 
         `came` to the objects, `returned` to the ground, is `held` on them, is `airborne` as drips
         now, or came as `inflow` from outside the map.
         """
-        ledger = ledger.as_dict()
-        ledger["initial"] += self.initial
-        # The solver books water from objects and from outside as rain.
-        ledger["rain"] += came - returned - inflow
-        ledger["inflow"] += inflow
-        ledger["obstacles"] += held
-        ledger["airborne"] += airborne
-        return Ledger.from_dict(ledger).as_dict()
+        return replace(
+            ledger, initial=ledger.initial + self.initial,
+            # The solver books water from objects and from outside as rain.
+            rain=ledger.rain + (came - returned - inflow), inflow=ledger.inflow + inflow,
+            obstacles=ledger.obstacles + held, airborne=ledger.airborne + airborne,
+        )  # fmt: skip

@@ -6,35 +6,25 @@ import math
 
 import numpy as np
 
-from rainsim.water.bundles import Ground, StepNumbers
+from rainsim.water.bundles import Ground
 from rainsim.water.paper import BLOCK, accelerate, accelerate_rough, extrapolate, flow
 from rainsim.water.paper_sills import find_sills
+from rainsim.water.staggered import StaggeredFlow
 
-ROUNDINGS = 2  # rounding units of bed and depth within which levels are equal
 CAP = 0.5  # cells per step, the most a face may be sped up to (Chentanez and Mueller 2010)
 ROUNDING_ROOM = 1 - 1e-6  # of a step, so that float32 factors keep its promise too
 
 
-class PaperFlow:
-    """Depth and velocity on the MAC grid, and the step of "paper" (see `rainsim.water.paper`).
+class PaperFlow(StaggeredFlow):
+    """The step of "paper" (see `rainsim.water.paper`), without ghost cells.
 
-    Parameters and attributes are those of `ConservingFlow`; the paper has no viscosity.
+    Parameters and attributes are those of `StaggeredFlow`; the paper has no viscosity.
     """
 
-    pad, inner = 0, np.s_[:, :]
-
     def __init__(self, bed, spacing, gravity, is_open, roughness, dry):
-        (ny, nx), dtype = bed.shape, bed.dtype.type
-        self._type, self._spacing, self._gravity = dtype, spacing, gravity
-        self._rounding = dtype(ROUNDINGS * np.finfo(dtype).eps)
-        self._dry = dtype(dry)
-        self._open, self.roughness = is_open, roughness
-        self.bed = bed
-        self.h, self._h_spare = np.zeros((ny, nx), dtype), np.zeros((ny, nx), dtype)
-        self.u, self._u_spare = np.zeros((ny, nx + 1), dtype), np.zeros((ny, nx + 1), dtype)
-        self.v, self._v_spare = np.zeros((ny + 1, nx), dtype), np.zeros((ny + 1, nx), dtype)
-        self.remainder = np.zeros((ny, nx), dtype)
-        self._signals = np.zeros((-(-ny // BLOCK), nx), dtype)
+        super().__init__(bed, spacing, gravity, is_open, roughness, dry, roundings=2)
+        ny, nx = bed.shape
+        self._signals = np.zeros((-(-ny // BLOCK), nx), bed.dtype)
         south = np.arange(0, ny, BLOCK)
         north = np.minimum(south + BLOCK, ny)
         self._sills = find_sills(bed, is_open)
@@ -42,9 +32,10 @@ class PaperFlow:
 
     def start(self, u, v):
         """Set the inner face velocities, (ny, nx - 1) and (ny - 1, nx); `h` must be set before."""
-        self.u[:, 1:-1], self.v[1:-1] = u, v
+        now = self.water
+        now.u[:, 1:-1], now.v[1:-1] = u, v
         for sill in self._sills:
-            sill.note(0 * self.u, 0 * self.v)
+            sill.note(0 * now.u, 0 * now.v)
         self._set_edges()
         self.refresh()
 
@@ -52,16 +43,8 @@ class PaperFlow:
         """Measure the speeds that limit the step from depths and velocities."""
         self.water_speed = self.largest_speed()
         self.moves = self.water_speed > 0.0
-        wave = math.sqrt(self._gravity * float(self.h.max()))
+        wave = math.sqrt(self._gravity * float(self.water.h.max()))
         self.wave_speed = self.water_speed + max(wave, self.water_speed)
-
-    def largest_speed(self):
-        """Largest face speed [m/s]."""
-        return float(max(self.u.max(), -self.u.min(), self.v.max(), -self.v.min()))
-
-    def faces(self):
-        """Return `u` (ny, nx + 1) and `v` (ny + 1, nx) [m/s] themselves, not copies."""
-        return self.u, self.v
 
     def stable_step(self, courant):
         """Longest step [s] at which waves and flow stay within their limits."""
@@ -73,44 +56,34 @@ class PaperFlow:
 
     def advance_depth(self, dt):
         """Advance the depth from n to n+1; return the volume [m3] that left through open edges."""
-        k = self._type(dt / self._spacing)
-        self._before = self.u, self.v
+        k = self.bed.dtype.type(dt / self._spacing)
+        before, new = self.water, self._spare
         for sill in self._sills:
-            sill.note(self.u, self.v)
+            sill.note(before.u, before.v)
         if not self.moves:
             self._swap_velocity()  # pressure and friction read the velocity at n beside the new
-            self.u[:], self.v[:] = 0, 0
+            self.water.u[:], self.water.v[:] = 0, 0
             return 0.0
-        left = self._outflow() * float(k) * self._spacing
-        flow(
-            self.h, self.u, self.v, k, self._dry,
-            self.remainder, self._h_spare, self._u_spare, self._v_spare,
-        )  # fmt: skip
-        self.h, self._h_spare = self._h_spare, self.h  # h at n+1
-        self._swap_velocity()  # carried, not yet pushed
+        left = sum(self.leaving(edge) for edge in self.open_edges()) * self._spacing
+        flow(before.h, before.u, before.v, k, self.dry, new.remainder, new.h, new.u, new.v)
+        self.water, self._spare = new, before  # h at n+1; u carried, not yet pushed
         for sill in self._sills:
-            sill.give_back(float(k), self._h_spare, self.h, self.remainder, self._dry)
-        return left
+            sill.give_back(float(k), before.h, new.h, new.remainder, self.dry)
+        return left * float(k) * self._spacing
 
     def advance_velocity(self, dt):
         """Advance the face velocities from step n to n+1 by `dt` [s]."""
-        dtype, spacing, gravity = self._type, self._spacing, self._gravity
-        numbers = StepNumbers(
-            k=dtype(dt / spacing), kg=dtype(gravity * dt / spacing),
-            wave=dtype(gravity * (dt / spacing) ** 2), gravity=dtype(gravity),
-            cap=dtype(CAP * spacing / dt), rounding=self._rounding, dry=self._dry,
-        )  # fmt: skip
+        numbers = self.numbers(dt, dt, CAP * self._spacing / dt)
+        (h, _, u, v), before = self.water, self._spare
         if self.roughness is None:
-            accelerate(self.h, self.bed, numbers, self.u, self.v, self._signals)
+            accelerate(h, self.bed, numbers, u, v, self._signals)
         else:
-            ground, drag = Ground(self.bed, self.roughness), dtype(gravity * dt)
-            accelerate_rough(
-                self.h, ground, *self._before, drag, numbers, self.u, self.v, self._signals
-            )
+            ground, drag = Ground(self.bed, self.roughness), u.dtype.type(self._gravity * dt)
+            accelerate_rough(h, ground, before.u, before.v, drag, numbers, u, v, self._signals)
         self.wave_speed = float(self._signals.max())
-        self.moves = bool(self.u.any() or self.v.any())
+        self.moves = bool(u.any() or v.any())
         if self.moves:
-            extrapolate(self.h, self.u, self.v, self._u_spare, self._v_spare)
+            extrapolate(h, u, v, before.u, before.v)
             self._swap_velocity()
         self._set_edges()  # u at n+1
         self.water_speed = self.largest_speed() if self.moves else 0.0
@@ -128,7 +101,7 @@ class PaperFlow:
 
     def note_cells(self, edge, rows, columns, rise, dt):
         """Take note that last cells of an edge rose, see `ConservingFlow.note_cells`."""
-        deepest = float(self.h[rows, columns].max())
+        deepest = float(self.water.h[rows, columns].max())
         if deepest > 0.0:
             wave = math.sqrt(self._gravity * deepest)
             self.wave_speed = max(self.wave_speed, self.water_speed + max(wave, self.water_speed))
@@ -136,31 +109,24 @@ class PaperFlow:
     def saved(self):
         """Return the arrays that make up the state, by name."""
         numbers = np.array([self.wave_speed, self.water_speed, float(self.moves)])
-        fields = {"h": self.h, "remainder": self.remainder, "u": self.u, "v": self.v}
-        return {**fields, "numbers": numbers}
+        return {**self.water._asdict(), "numbers": numbers}
 
     def restore(self, arrays):
         """Take over the arrays that `saved` returned."""
-        for name in ("h", "remainder", "u", "v"):
-            getattr(self, name)[:] = arrays[name]
+        for name, array in self.water._asdict().items():
+            array[:] = arrays[name]
         self.wave_speed, self.water_speed, moves = arrays["numbers"].tolist()
         self.moves = bool(moves)
 
     def _swap_velocity(self):
-        self.u, self._u_spare = self._u_spare, self.u
-        self.v, self._v_spare = self._v_spare, self.v
-
-    def _outflow(self):
-        sides = (
-            ("west", -self.u[:, 0], self.h[:, 0]), ("east", self.u[:, -1], self.h[:, -1]),
-            ("south", -self.v[0], self.h[0]), ("north", self.v[-1], self.h[-1]),
-        )  # fmt: skip
-        flows = (speed.astype(np.float64) * h for edge, speed, h in sides if self._open[edge])
-        return sum(float(q.sum()) for q in flows) * self._spacing
+        """Swap the copies of the velocity; the depth is only in one."""
+        now, spare = self.water, self._spare
+        self.water = now._replace(u=spare.u, v=spare.v)
+        self._spare = spare._replace(u=now.u, v=now.v)
 
     def _set_edges(self):
         """Edge faces: zero at walls, as `conserving.speed_out` has it at open edges."""
-        u, v, edges = self.u, self.v, self._open
+        (_, _, u, v), edges = self.water, self.is_open
         u[:, 0] = np.minimum(u[:, 1], 0) if edges["west"] else 0
         u[:, -1] = np.maximum(u[:, -2], 0) if edges["east"] else 0
         v[0] = np.minimum(v[1], 0) if edges["south"] else 0

@@ -3,6 +3,102 @@
 import numpy as np
 
 from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.water.inputs import field
+
+DRY_DEPTH = 1e-6  # m, below this water does not flow (RainyGS supplement, step 2)
+
+
+class Sources:
+    """The rain on a map, its films, and what its ground and its drains take.
+
+    Parameters
+    ----------
+    flow : ConservingFlow or PaperFlow
+    cell_area : float [m2]
+    storage, infiltration : ndarray of shape (ny, nx) [m], [m/s]
+    drains : tuple of ndarray
+        Rows, columns and rates [m3/s].
+
+    Attributes
+    ----------
+    film, storage, infiltration : ndarray of the shape of `flow.water.h` [m], [m], [m/s]
+        Depth held back in each cell, its limit, and what the ground takes.
+    drains : tuple of ndarray
+    has_storage, has_losses : bool
+        Whether cells hold water back, and whether the ground or drains take water.
+    rain_sum : float [m/s]
+        Of the rates over the cells.
+    unbooked_time : float [s]
+        Of steps whose rain and losses are still to be applied.
+    """
+
+    def __init__(self, flow, cell_area, storage, infiltration, drains):
+        self._flow, self._area, self.drains = flow, cell_area, drains
+        self.film, self._rain, self.storage, self.infiltration = (
+            np.zeros_like(flow.water.h) for _ in range(4)
+        )
+        self.storage[flow.inner], self.infiltration[flow.inner] = storage, infiltration
+        self.has_storage = bool(storage.any())
+        self.has_losses = bool(infiltration.any()) or len(drains[0]) > 0
+        self._infiltrated = np.zeros(len(flow.tiles(True)))  # m, in each tile in one step
+        self._rain_rate, self.rain_sum, self.unbooked_time = 0.0, 0.0, 0.0
+
+    def set_rain(self, rain):
+        """Fill the map of rain rates [m/s] from a number or a map of shape (ny, nx)."""
+        if np.ndim(rain) > 0 or rain != self._rain_rate:
+            inside = self._rain[self._flow.inner]
+            inside[:] = field("rain", rain, inside.shape)
+            self.rain_sum = float(self._rain.sum(dtype=np.float64))
+            self._rain_rate = rain if np.ndim(rain) == 0 else None
+
+    def most_rain(self):
+        """Return the largest rate of the rain [m/s]."""
+        return float(self._rain.max())
+
+    def are_idle(self):
+        """Whether they would change no number: no rain, and nothing that losses could take."""
+        if self.rain_sum > 0.0:
+            return False
+        water = self._flow.water
+        return not (self.has_losses and (water.h.any() or water.remainder.any() or self.film.any()))
+
+    def apply(self, ledger, dt, everywhere):
+        """Add deposited drops and the rain of `dt` [s] to film and water, take losses, book both.
+
+        Without rain and losses only water that moves can still fill films, unless drops came:
+        `everywhere`.
+        """
+        flow, everywhere = self._flow, everywhere or self.rain_sum > 0.0 or self.has_losses
+        tiles, water = flow.tiles(everywhere), flow.water
+        infiltrated = self._infiltrated[: len(tiles)]
+        apply_sources(
+            tiles, self._rain, self.infiltration, self.storage, dt, DRY_DEPTH,
+            water.h, water.remainder, self.film, infiltrated,
+        )  # fmt: skip
+        ledger.rain += self.rain_sum * dt * self._area
+        ledger.infiltrated += float(infiltrated.sum()) * self._area
+        rows, columns, rates = self.drains
+        if len(rows):
+            ledger.drained += self.drain(rows, columns, rates * dt)
+        flow.note_sources(everywhere)
+
+    def drain(self, rows, columns, volumes):
+        """Take up to `volumes` [m3] of free water from cells; return the volume taken [m3]."""
+        flow, water = self._flow, self._flow.water
+        at = np.asarray(rows) + flow.pad, np.asarray(columns) + flow.pad
+        water.h[at], water.remainder[at], taken = drain_cells(
+            water.h[at], water.remainder[at], volumes / self._area, DRY_DEPTH
+        )
+        return taken * self._area
+
+    def lift(self, rows, columns, left):
+        """Take the water of cells down to a depth of `left` [m]; return the volume taken [m3]."""
+        flow, water, film = self._flow, self._flow.water, self.film
+        at = np.asarray(rows) + flow.pad, np.asarray(columns) + flow.pad
+        water.h[at], water.remainder[at], film[at], taken = lift_cells(
+            water.h[at], water.remainder[at], film[at], left, self._area, DRY_DEPTH
+        )
+        return taken
 
 
 @device_function

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +12,9 @@ from scipy import ndimage
 from rainsim.actors.motion import Motion
 from rainsim.actors.wheels import MOST_WHEELS, REMEDY
 from rainsim.errors import ParameterError
-from rainsim.ledger import Ledger
+from rainsim.io.states import AT, NO_THROWS, NO_TRACKS, THROW_COLUMNS
 from rainsim.numerics.random import mix, subkey
 from rainsim.rain.throws import (
-    AT,
-    COLUMNS,
-    NO_THROWS,
     REMEMBERED,
     SLOWEST,
     column,
@@ -38,7 +36,6 @@ PATCH = 0.12  # m: radius of the patch on which a parcel comes down
 STANDS = 0.05  # m over the bed: what is higher stops drops
 WIND_AT = 1.0  # m: height of the wind that carries drops and mist
 SHOULDER = 1.0  # cells: deviation with which the edges of tracks are softened
-NO_TRACKS = np.zeros((0, 0), np.uint8)
 
 
 class _Car(NamedTuple):
@@ -173,20 +170,19 @@ class Tyres:
                      for a, b in zip(low, high, strict=True))  # fmt: skip
 
     def book(self, ledger, time):
-        """Return a ledger (a dict) with the water that tyres have thrown in it.
+        """Return a `Ledger` with the water that tyres have thrown in it.
 
         The solver books what is lifted as drained and what comes down as rain.
         """
         if not self._cars:
             return ledger
-        ledger = dict(ledger)
         hanging = float((mist_left(self._throws, time) * self._own).sum())
-        ledger["drained"] -= self.lifted
-        ledger["rain"] -= self.returned
-        ledger["airborne"] += float(self._landing[:, 4].sum()) + hanging
-        ledger["obstacles"] += self.kept
-        ledger["outflow"] += self.gone + self._mist - hanging
-        return Ledger.from_dict(ledger).as_dict()
+        return replace(
+            ledger, drained=ledger.drained - self.lifted, rain=ledger.rain - self.returned,
+            airborne=ledger.airborne + (float(self._landing[:, 4].sum()) + hanging),
+            obstacles=ledger.obstacles + self.kept,
+            outflow=ledger.outflow + (self.gone + self._mist - hanging),
+        )  # fmt: skip
 
     def _step(self, solver, start, stop, weather):
         """Throw the water that tyres meet in a step, and land water that has flown long enough."""
@@ -273,7 +269,7 @@ class Tyres:
         out -= (out @ ahead) * ahead
         length = np.hypot(*out)
         out = out / length if length > 0 else np.array([-ahead[1], ahead[0]])
-        row = np.zeros(len(COLUMNS))
+        row = np.zeros(len(THROW_COLUMNS))
         row[: AT["bow"]] = (
             start, stop, *begin, *end[:2], *out, width, radius, car.covered[k], 0, *wind,
             car.section, depth,

@@ -5,13 +5,13 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from rainsim.bench import chart, day, frame, ground, look, rain, splat, stress, water
+from rainsim.bench import chart, day, frame, ground_error, look, rain, splat, stress, water
 from rainsim.cli import cli
 from rainsim.commands.bench import bench
 from rainsim.errors import RainsimError
 
 
-@pytest.mark.parametrize("suite", [day, frame, ground, look, rain, splat, stress, water])
+@pytest.mark.parametrize("suite", [day, frame, ground_error, look, rain, splat, stress, water])
 def test_results_are_printed_and_written(suite, monkeypatch, tmp_path):
     seen = []
 

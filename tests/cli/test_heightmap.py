@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from rainsim import simulation
 from rainsim.io import images
+from rainsim.io.states import read_state
 from rainsim.scene.folder import read_scene
 
 MAP = ("--extent", 1, "--spacing", 0.04)
@@ -35,7 +35,7 @@ def test_heightmap_tells_and_draws(rainsim, scene_folder, tmp_path):
     assert done.code == 0 and "water mask: dents of 4 litres" in done.err, done.err
     done = rainsim("simulate", "d", "--frames", 1, "--past-rain", 0, "--rain", 0, "--out", "still")
     assert done.code == 0, done.err
-    depth = simulation.read_state(tmp_path / "still" / "states" / "00000.npz").depth
+    depth = read_state(tmp_path / "still" / "states" / "00000.npz").depth
     assert depth.max() > 5e-3
     done = rainsim("heightmap", scene_folder, "--out", "e", "--water-mask", "grass.png")
     assert done.code == 1 and "must be grey" in done.err

@@ -13,7 +13,7 @@ from rainsim.scene.cameras import write_transforms
 from rainsim.scene.folder import read_scene
 from rainsim.scene.ground import read_ground_frame
 from rainsim.scene.library import load_scene
-from rainsim.terrain import kept
+from rainsim.terrain import kept_terrain
 from scenes import tiny_scene
 
 
@@ -73,9 +73,9 @@ def test_the_map_of_the_folder_is_kept_for_its_runs(rainsim, tmp_path, monkeypat
     capture(tmp_path)
     assert rainsim("import", "tiny.ply", "--out", "one").code == 0
     scene, terrain = load_scene(tmp_path / "one"), Config().terrain
-    assert cache.read(kept.KIND, kept.entry_name(scene, terrain)) is not None
+    assert cache.read(kept_terrain.KIND, kept_terrain.entry_name(scene, terrain)) is not None
     other = replace(terrain, spacing=0.03)
-    assert cache.read(kept.KIND, kept.entry_name(scene, other)) is None
+    assert cache.read(kept_terrain.KIND, kept_terrain.entry_name(scene, other)) is None
 
 
 def test_overwriting_keeps_what_is_not_ours(rainsim, tmp_path):

@@ -82,9 +82,9 @@ def steps():
         np.add.at(depth, (rows, columns), volume / surfaces.spacing**2)
         rings = drip_impacts(*host.falling(), surfaces, *times)
         rings = rings.take(rings.kind == GROUND)
-        ground = Ground(surfaces)
+        ground = Ground(surfaces, share=0.5)
         twin.update(*times, WIND, FINE)
-        twin.launch(page, ground, ground, 0.5, 0)
+        twin.launch(page, ground, ground, 0)
         momentum = (
             ground.pushes.sum() * PUSH_UNIT,
             tile_impacts(rings, 2.0 / LAYERS, 1.0, times[1])[1].sum(),
@@ -117,9 +117,9 @@ def test_a_list_without_room_is_counted(steps):
     twin.pages = [DripList(2), DripList(2)]
     many = len(twin.came[1].copy_to_host())
     twin.came[1].copy_to_device(np.full(many, round(1e-6 / VOLUME_UNIT)))
-    ground = Ground(surfaces)
+    ground = Ground(surfaces, share=0.5)
     twin.update(0.0, STEP, WIND, 0.0)
-    twin.launch(1, ground, ground, 0.5, 0)
+    twin.launch(1, ground, ground, 0)
     assert twin.account[LISTED] > 2
     with pytest.raises(BackendError, match="set drips to false, or use backend cpu"):
         twin.check()

@@ -5,7 +5,7 @@ import pytest
 
 from rainsim.cuda import simulated
 from rainsim.cuda.drops import Impacts, room_for
-from rainsim.cuda.rain.settling import PUSH_UNIT, VOLUME_UNIT
+from rainsim.cuda.rain.settling import PUSH_UNIT, VOLUME_UNIT, CellLayout, RippleTile
 from rainsim.cuda.water.step_control import UNIT
 from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces, impacts
 from rainsim.water.ripples import SIZE_MOMENTA, SIZES
@@ -28,16 +28,16 @@ def roofed():
 class Ground:
     """What `settle` adds to, blank."""
 
-    def __init__(self, surfaces, cells=8):
+    def __init__(self, surfaces, cells=8, share=2.0):
         ny, nx = surfaces.shape
-        self.width, self.first = nx + 7, 2 * nx
-        self.waiting = np.zeros(self.first + ny * self.width, np.int64)
-        self.size, self.steps, self.cells = 1.0, 4, cells
-        self.pushes = np.zeros(SIZES * self.steps * cells * cells, np.int64)
+        self.cells = CellLayout(2 * nx, nx + 7, surfaces.spacing**2)
+        self.waiting = np.zeros(2 * nx + ny * self.cells.width, np.int64)
+        self.tile = RippleTile(1.0, 4, cells, share)
+        self.pushes = np.zeros(SIZES * self.tile.steps * cells * cells, np.int64)
 
     def depths(self, surfaces):
         """Return the depth [m] that waits in each cell."""
-        waiting = self.waiting[self.first :].reshape(-1, self.width) * UNIT
+        waiting = self.waiting[self.cells.first :].reshape(-1, self.cells.width) * UNIT
         return waiting[:, : surfaces.shape[1]]
 
 
@@ -54,12 +54,12 @@ def listed():
 
 def test_the_list_is_that_of_the_cpu(listed):
     _, _, wanted, twin = listed
-    count = int(twin.found.copy_to_host()[0])
+    count = int(twin.lists.found.copy_to_host()[0])
     assert count == len(wanted) and twin.missing() == 0
-    order = np.argsort(twin.ids.copy_to_host()[0, :count])
-    values = twin.values.copy_to_host()[0, :count][order]
-    labels = twin.labels.copy_to_host()[0, :count][order]
-    np.testing.assert_array_equal(twin.ids.copy_to_host()[0, :count][order], wanted.id)
+    order = np.argsort(twin.lists.ids.copy_to_host()[0, :count])
+    values = twin.lists.values.copy_to_host()[0, :count][order]
+    labels = twin.lists.labels.copy_to_host()[0, :count][order]
+    np.testing.assert_array_equal(twin.lists.ids.copy_to_host()[0, :count][order], wanted.id)
     np.testing.assert_allclose(values[:, :3], wanted.position, atol=1e-9)
     np.testing.assert_allclose(values[:, 3], wanted.diameter, rtol=1e-9)
     np.testing.assert_allclose(values[:, 4], wanted.time, atol=1e-9)
@@ -72,7 +72,7 @@ def test_the_water_goes_where_it_fell(listed):
     ground = Ground(surfaces)
     point, came = np.full(surfaces.shape, -2, np.int32), np.zeros(3, np.int64)
     point[:, :8], point[:, 8:12] = 0, 1
-    twin.settle(ground, ground, 2.0, 0, point, came)
+    twin.settle(ground, ground, 0, (point, came))
     landed = wanted.take(wanted.kind == GROUND)
     depth = np.zeros(surfaces.shape)
     np.add.at(depth, (landed.row, landed.column), landed.volume / surfaces.spacing**2)
@@ -90,7 +90,7 @@ def test_the_water_goes_where_it_fell(listed):
     np.testing.assert_allclose(pushed, asked, rtol=1e-6)
     kept = twin.obstacles.copy_to_host()[0]
     assert kept * VOLUME_UNIT == pytest.approx(hit.volume.sum(), rel=1e-6)
-    twin.settle(ground, ground, share=2.0)
+    twin.settle(ground, ground)
     assert twin.obstacles.copy_to_host()[0] == 2 * kept and came.sum() == kept  # nothing drips
 
 

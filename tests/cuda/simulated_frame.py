@@ -12,7 +12,7 @@ from rainsim.cuda import simulated
 from rainsim.cuda import simulation as cuda_simulation
 from rainsim.cuda.render import renderer as twin
 from rainsim.cuda.shading.lamp_images import Lamps
-from rainsim.daylight import kept
+from rainsim.daylight import kept_light
 from rainsim.daylight.relight import Relight
 from rainsim.errors import ParameterError
 from rainsim.pipeline import FrameSequence, extract_terrain, simulate
@@ -196,7 +196,7 @@ def test_colors_follow_clouds_that_come_and_go(monkeypatch, tmp_path):
         gain = np.linspace(0.4, 3, 3 * len(scene.splats)).reshape(-1, 3).astype(np.float16)
         return Relight(gain, "made for a test")
 
-    monkeypatch.setattr(kept, "find_relight", relight)
+    monkeypatch.setattr(kept_light, "find_relight", relight)
     scene = dataclasses.replace(tiny_scene(), source=tmp_path)
     camera = scene.cameras[0].resized(*SIZE)
     keys = ((0.0, (("cloudiness", 1.0),)), (1 / 24, (("cloudiness", 0.2),)))

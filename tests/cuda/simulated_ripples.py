@@ -21,9 +21,9 @@ def test_two_frames_are_those_of_the_cpu(parts):
     tile = RippleTile(size=0.2, cells=N, depth=0.01, dtype=np.float32)
     tile.set_elevation(1e-4 * rng.normal(size=(N, N)))
     twin = Ripples(tile, duration)
-    assert twin.steps == parts
+    assert twin.tile.steps == parts
     for _ in range(2):
-        pushes = rng.uniform(0.5, 1, (SIZES, twin.steps, N, N))
+        pushes = rng.uniform(0.5, 1, (SIZES, twin.tile.steps, N, N))
         pushes *= np.array([SIZE_MOMENTA[0], *SIZE_MOMENTA])[:, None, None, None]
         pushes[1:] *= 2  # of each size
         waiting = np.zeros((SIZES, 2 * ((parts + 1) // 2), N, N), np.int64)

@@ -52,10 +52,10 @@ def test_a_picture_is_that_of_the_cpu(poisoned):
     np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=1e-5)
     # A list that the next step is filling may hold anything.
     closed, count = recent.next_list(int(TIME * RATE)), int(twin.count.copy_to_host()[0])
-    found, labels = recent.found.copy_to_host(), recent.labels.copy_to_host()
+    found, labels = recent.lists.found.copy_to_host(), recent.lists.labels.copy_to_host()
     found[closed], labels[closed] = recent.room, 2**30
-    recent.found.copy_to_device(found)
-    recent.labels.copy_to_device(labels)
+    recent.lists.found.copy_to_device(found)
+    recent.lists.labels.copy_to_device(labels)
     twin.update(field, FILM, closed)
     streaks.launch()
     twin.launch()

@@ -79,12 +79,12 @@ def test_impacts_are_those_of_the_cpu(field, surfaces):
     twin = Impacts(field, surfaces, room_for(field, surfaces, 0.03))
     twin.update(field, 3.0, 3.03)
     twin.launch()
-    count = int(twin.found.copy_to_host()[0])
-    ids = twin.ids.copy_to_host()[0, :count]
+    count = int(twin.lists.found.copy_to_host()[0])
+    ids = twin.lists.ids.copy_to_host()[0, :count]
     order = np.argsort(ids)
     np.testing.assert_array_equal(ids[order], wanted.id)
-    values = twin.values.copy_to_host()[0, :count][order]
-    labels = twin.labels.copy_to_host()[0, :count][order]
+    values = twin.lists.values.copy_to_host()[0, :count][order]
+    labels = twin.lists.labels.copy_to_host()[0, :count][order]
     np.testing.assert_allclose(values[:, :3], wanted.position, atol=1e-9)
     np.testing.assert_allclose(values[:, 3], wanted.diameter, rtol=1e-9)
     assert (labels[:, 1] == wanted.kind).all() and (wanted.kind != GROUND).any()
@@ -98,11 +98,13 @@ def test_ripples_are_those_of_the_cpu():
     tile = RippleTile(depth=0.02, dtype=np.float32)
     twin = Ripples(tile, 1 / 30)
     for _ in range(20):
-        cells, part = rng.integers(0, 256, (300, 2)), rng.integers(0, twin.steps, 300)
+        cells, part = rng.integers(0, 256, (300, 2)), rng.integers(0, twin.tile.steps, 300)
         momentum = 5e-6 * rng.random(300)
-        pushes = np.zeros((twin.steps, 256, 256))
+        pushes = np.zeros((twin.tile.steps, 256, 256))
         np.add.at(pushes, (part, cells[:, 1], cells[:, 0]), momentum)
-        tile.advance(1 / 30, cells / 256, momentum, (twin.steps - 0.5 - part) / twin.steps / 30)
+        tile.advance(
+            1 / 30, cells / 256, momentum, (twin.tile.steps - 0.5 - part) / twin.tile.steps / 30
+        )
         waiting = np.zeros(twin.pushes.shape, np.int64)
         waiting[: pushes.size] = np.rint(pushes / PUSH_UNIT).astype(np.int64).reshape(-1)
         twin.pushes.copy_to_device(waiting)

@@ -8,12 +8,12 @@ import pytest
 import scenes
 import sunny_yard
 from rainsim.config.settings import Config
-from rainsim.daylight import kept, relight, sky_light
-from rainsim.daylight.kept import covered_share, under_clouds
+from rainsim.daylight import kept_light, relight, sky_light
+from rainsim.daylight.kept_light import covered_share, under_clouds
 from rainsim.daylight.light import Light
+from rainsim.daylight.lit_surface import Surface
 from rainsim.daylight.shade import NO_EDGES, edge_shade, factor_in_shade
 from rainsim.daylight.sun import _pairs
-from rainsim.daylight.surface import Surface
 from rainsim.daylight.visibility import (
     NOTHING,
     Window,
@@ -27,7 +27,7 @@ from rainsim.numerics.srgb import display, linear
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.splat_sets import joined
 from rainsim.scene.types import Splats
-from rainsim.surface.kept import kept_surface
+from rainsim.surface.kept_surface import kept_surface
 
 SURFACE = {}  # of the last scene: several tests look for the sun of one
 
@@ -254,10 +254,10 @@ def test_it_is_kept_for_the_next_run(sunny, tmp_path, monkeypatch):
     monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
     scene = replace(sunny[0], source=tmp_path)
     config = Config().replace(cloudiness=1.0)
-    monkeypatch.setattr(kept, "find_relight", lambda *_: sunny[3])
-    first = kept.kept_relight(scene, config, None, 0.6)
-    monkeypatch.setattr(kept, "find_relight", None)  # to call it would be an error
-    again = kept.kept_relight(scene, config, None, 0.6)
+    monkeypatch.setattr(kept_light, "find_relight", lambda *_: sunny[3])
+    first = kept_light.kept_relight(scene, config, None, 0.6)
+    monkeypatch.setattr(kept_light, "find_relight", None)  # to call it would be an error
+    again = kept_light.kept_relight(scene, config, None, 0.6)
     assert again.note == first.note and again.confidence == first.confidence
     np.testing.assert_array_equal(again.gain, first.gain)
     np.testing.assert_allclose(again.sun, first.sun)
@@ -265,17 +265,17 @@ def test_it_is_kept_for_the_next_run(sunny, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("changes", [{"relight": "off"}, {"cloudiness": 0.0}, {"source": None}])
 def test_nothing_is_looked_for_where_nothing_is_wanted(tmp_path, monkeypatch, changes):
-    monkeypatch.setattr(kept, "find_relight", None)
+    monkeypatch.setattr(kept_light, "find_relight", None)
     changes = dict(changes)
     scene = replace(scenes.tiny_scene(), source=changes.pop("source", tmp_path))
-    found = kept.kept_relight(scene, Config().replace(**changes), None, 0.6)
+    found = kept_light.kept_relight(scene, Config().replace(**changes), None, 0.6)
     assert found.gain is None and found.note == ""
 
 
 def test_a_timeline_brings_the_sun_back(tmp_path, monkeypatch):
     from rainsim.pipeline import extract_terrain
 
-    monkeypatch.setattr(kept, "find_relight", fake_relight)
+    monkeypatch.setattr(kept_light, "find_relight", fake_relight)
     scene = replace(scenes.tiny_scene(), source=tmp_path)
     camera = scene.cameras[0]
     config = replace(

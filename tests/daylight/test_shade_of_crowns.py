@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from rainsim.daylight import relight
 from rainsim.daylight.light import Light
-from rainsim.daylight.surface import Surface, surface_of
+from rainsim.daylight.lit_surface import Surface, surface_of
 from rainsim.daylight.visibility import solids_of, with_plane
 from rainsim.surface.fuse import CaptureSurface, planes
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rainsim.daylight import surroundings
+from rainsim.daylight.lit_surface import Surface
 from rainsim.daylight.sky_light import hemisphere
-from rainsim.daylight.surface import Surface
 from rainsim.daylight.surroundings import gather, patches_of, sent_in
 from rainsim.daylight.visibility import Window
 

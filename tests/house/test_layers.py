@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parent.parent.parent / "rainsim"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 # A stage imports from itself and from the lines before it; stages of one line may use each other.
 ORDER = """
-errors jit constants compiling
+errors jit constants ledger compiling
 numerics
 config io
 scene actors
@@ -27,7 +27,6 @@ demo_scenes
 terrain
 rain
 drops
-ledger
 water
 grid
 shading

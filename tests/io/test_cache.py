@@ -22,7 +22,7 @@ from rainsim.scene import library
 from rainsim.scene.cameras import write_transforms
 from rainsim.scene.folder import import_scene
 from rainsim.scene.library import load_scene
-from rainsim.terrain import kept
+from rainsim.terrain import kept_terrain
 from rainsim.terrain.types import Grid, Terrain
 from scenes import tiny_scene
 
@@ -310,13 +310,13 @@ def test_a_kept_terrain_is_the_extracted_one(folder, monkeypatch):
 
 def test_each_input_of_a_terrain_changes_its_name():
     scene, config, mask = tiny_scene(), CONFIG.terrain, np.full((50, 50), -1)
-    names = [kept.entry_name(scene, config), kept.entry_name(scene, config, mask)]
+    names = [kept_terrain.entry_name(scene, config), kept_terrain.entry_name(scene, config, mask)]
     splats, frame, camera = scene.splats, scene.ground_frame, scene.cameras[0]
     for field in dataclasses.fields(splats):
         changed = getattr(splats, field.name).copy()
         changed.reshape(-1)[-1] += np.float32(1e-3)
         other = replace(splats, **{field.name: changed})
-        names.append(kept.entry_name(replace(scene, splats=other), config))
+        names.append(kept_terrain.entry_name(replace(scene, splats=other), config))
     scenes = [
         replace(scene, splats=splats.take(np.arange(len(splats) - 1))),
         replace(scene, ground_frame=replace(frame, meters_per_unit=0.61)),
@@ -325,14 +325,14 @@ def test_each_input_of_a_terrain_changes_its_name():
         replace(scene, cameras=(replace(camera, fx=camera.fx + 1e-9), *scene.cameras[1:])),
         replace(scene, drains=((0.1, 0.2, 0.3),)),
     ]
-    names += [kept.entry_name(other, config) for other in scenes]
+    names += [kept_terrain.entry_name(other, config) for other in scenes]
     for change in ({"spacing": 0.05}, {"extent": 1.1}):
-        names.append(kept.entry_name(scene, replace(config, **change)))
+        names.append(kept_terrain.entry_name(scene, replace(config, **change)))
     painted = mask.copy()
     painted[3, 4] = 1
-    names.append(kept.entry_name(scene, config, painted))
+    names.append(kept_terrain.entry_name(scene, config, painted))
     assert len(set(names)) == len(names)
-    assert kept.entry_name(tiny_scene(), config) == names[0]
+    assert kept_terrain.entry_name(tiny_scene(), config) == names[0]
 
 
 def test_pictures_of_kept_results_are_the_same(folder, monkeypatch):
@@ -383,7 +383,7 @@ def test_each_input_of_the_exposure_changes_its_name(folder, monkeypatch):
 def test_a_kept_terrain_loads_nothing_that_extracts_one(folder, root):
     scene = "from scenes import tiny_scene\nfrom rainsim.config.settings import Config\n"
     code = scene + (
-        "import sys\nfrom rainsim.terrain.kept import kept_terrain\n"
+        "import sys\nfrom rainsim.terrain.kept_terrain import kept_terrain\n"
         "config = Config().replace(spacing=0.04, extent=1.0).terrain\n"
         "print(kept_terrain(tiny_scene(), config).bed.sum())\n"
         "print('rainsim.terrain.extract' in sys.modules, 'skimage' in sys.modules)\n"

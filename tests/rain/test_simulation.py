@@ -11,6 +11,7 @@ from rainsim import simulation
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
 from rainsim.errors import InputError
+from rainsim.io.states import read_state, write_state
 from rainsim.rain.exposure import rain_exposure
 
 
@@ -156,16 +157,16 @@ def test_rings_run_on_the_puddles_own_depth():
 
 def test_state_files_round_trip_and_bad_ones_are_told(tmp_path):
     state = states(ground(bowl()), config(), 2)[-1]
-    simulation.write_state(tmp_path / "s.npz", state)
-    again = simulation.read_state(tmp_path / "s.npz")
+    write_state(tmp_path / "s.npz", state)
+    again = read_state(tmp_path / "s.npz")
     assert again.time == state.time and again.ledger == state.ledger
     for name in ("depth", "velocity", "slopes", "impact_position", "impact_diameter"):
         np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
     (tmp_path / "bad.npz").write_bytes(b"nonsense")
     with pytest.raises(InputError, match="no water state"):
-        simulation.read_state(tmp_path / "bad.npz")
+        read_state(tmp_path / "bad.npz")
     with pytest.raises(InputError, match="does not exist"):
-        simulation.read_state(tmp_path / "none.npz")
+        read_state(tmp_path / "none.npz")
 
 
 def first_field(config):

@@ -22,11 +22,11 @@ from rainsim.config.settings import Config
 from rainsim.errors import GroundError, InputError, RainsimError
 from rainsim.io.files import replacing, write_json
 from rainsim.io.images import read_hdr, read_image
+from rainsim.io.states import read_state
 from rainsim.scene.cameras import read_cameras
 from rainsim.scene.folder import import_scene
 from rainsim.scene.ground import read_ground_frame
 from rainsim.scene.torch_file import read_weights
-from rainsim.simulation import read_state
 from rainsim.terrain.classify import read_mask
 from rainsim.terrain.map_files import read_terrain
 from rainsim.terrain.surface import is_surface, terrain_from_surface

@@ -15,12 +15,12 @@ from rainsim.config.settings import Config
 from rainsim.errors import InputError
 from rainsim.io.arrays import Field, read_arrays, write_arrays
 from rainsim.io.files import write_json
+from rainsim.io.states import read_state, write_state
 from rainsim.output_folder import read_record
 from rainsim.scene.cameras import load_cameras, write_transforms
 from rainsim.scene.folder import read_scene, write_scene
 from rainsim.scene.ground import read_ground_frame, write_ground_frame
 from rainsim.scene.types import GroundFrame, Scene
-from rainsim.simulation import read_state, write_state
 from rainsim.terrain.map_files import read_terrain, write_terrain
 from refusals import one_clear_line, refused_within
 

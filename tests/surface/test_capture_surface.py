@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import sunny_yard
-from rainsim.daylight.surface import Surface, carried
+from rainsim.daylight.lit_surface import Surface, carried
 from rainsim.scene.splat_sets import joined
 from rainsim.splatting.prepared import GEOMETRY, LANES, prepare, turn
-from rainsim.surface import captured_sky, fuse, kept, sweep, views, walls
+from rainsim.surface import captured_sky, fuse, kept_surface, sweep, views, walls
 from rainsim.terrain.types import Grid
 
 
@@ -35,7 +35,7 @@ def yard():
 
 @pytest.fixture(scope="module")
 def found(yard):
-    return kept.find_surface(yard)
+    return kept_surface.find_surface(yard)
 
 
 def off_the_faces(points):
@@ -59,7 +59,7 @@ def test_the_surface_lies_on_what_was_captured(found):
 
 def test_what_cameras_look_through_is_no_surface(yard):
     haze = floating(yard, (0.9, -0.3, 0.9), spread=0.15, opacity=0.3)
-    hazy = kept.find_surface(replace(yard, splats=joined([yard.splats, haze])))
+    hazy = kept_surface.find_surface(replace(yard, splats=joined([yard.splats, haze])))
     near = np.linalg.norm(hazy.surface.position - [0.9, -0.3, 0.9], axis=1) < 0.25
     assert near.sum() < 20  # of some hundred
     # What stands there is seen by all cameras, and stays.
@@ -279,7 +279,7 @@ def test_haze_far_from_every_place_faces_the_cameras_upright(yard):
     splats = yard.splats.take(np.arange(4))
     scene = replace(yard, splats=replace(splats, position=frame.to_capture(at).astype("f4")))
     seen = SimpleNamespace(surface=surface, middle=np.float32([0, 0, 1.5]))
-    normal, share = kept.splat_normals(scene, seen)
+    normal, share = kept_surface.splat_normals(scene, seen)
     normal = normal @ frame.rotation.T
     np.testing.assert_allclose(share[1:], [0.2, 1, 1], atol=0.01)
     assert share[0] > 0.8
@@ -288,17 +288,17 @@ def test_haze_far_from_every_place_faces_the_cameras_upright(yard):
 
 
 def test_few_splats_have_no_surface(yard):
-    assert kept.kept_surface(replace(yard, splats=yard.splats.take(slice(0, 20)))) is None
+    assert kept_surface.kept_surface(replace(yard, splats=yard.splats.take(slice(0, 20)))) is None
 
 
 def test_it_is_kept_for_the_next_run(yard, found, tmp_path, monkeypatch):
     monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
-    monkeypatch.setattr(kept, "_last", [None, None])
-    monkeypatch.setattr(kept, "find_surface", lambda scene: found)
-    kept.kept_surface(yard)
-    monkeypatch.setattr(kept, "_last", [None, None])
-    monkeypatch.setattr(kept, "find_surface", None)  # to call it would be an error
-    again = kept.kept_surface(yard)
+    monkeypatch.setattr(kept_surface, "_last", [None, None])
+    monkeypatch.setattr(kept_surface, "find_surface", lambda scene: found)
+    kept_surface.kept_surface(yard)
+    monkeypatch.setattr(kept_surface, "_last", [None, None])
+    monkeypatch.setattr(kept_surface, "find_surface", None)  # to call it would be an error
+    again = kept_surface.kept_surface(yard)
     for name, values in found.surface._asdict().items():
         np.testing.assert_array_equal(getattr(again.surface, name), values)
     np.testing.assert_array_equal(again.solid, found.solid)

@@ -8,7 +8,7 @@ import pytest
 
 from rainsim import terrain
 from rainsim.bench import captures
-from rainsim.bench import ground as suite
+from rainsim.bench import ground_error as suite
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
@@ -17,7 +17,7 @@ from rainsim.scene.painted import PaintedClasses
 from rainsim.scene.types import GroundFrame
 from rainsim.terrain import extract, tops
 from rainsim.terrain.classify import classify
-from rainsim.terrain.kept import entry_name
+from rainsim.terrain.kept_terrain import entry_name
 
 SPACING = 0.04
 

@@ -13,8 +13,9 @@ from rainsim.actors.actor import Actor, with_actors
 from rainsim.actors.motion import Track
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import GROUND
+from rainsim.io.states import AT
 from rainsim.lod.cut import cut
-from rainsim.rain.throws import AT, column
+from rainsim.rain.throws import column
 from rainsim.raster import prepare
 from rainsim.scene.big import open_pages
 from rainsim.simulation import steady_water

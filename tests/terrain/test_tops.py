@@ -11,6 +11,7 @@ from rainsim import terrain as terrains
 from rainsim.bench.look import light_up
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
+from rainsim.io.states import read_state, write_state
 from rainsim.pipeline import extract_terrain
 from rainsim.reflection import wet_tops
 from rainsim.reflection.water_pass import choice_of
@@ -18,8 +19,8 @@ from rainsim.reflection.wet_tops import DRY_TOPS, TopMaps
 from rainsim.render import aov
 from rainsim.render.renderer import Renderer
 from rainsim.scene.view import View, pixel_ray
-from rainsim.simulation import read_state, simulate, tops_drawn, write_state
-from rainsim.terrain.kept import kept_terrain
+from rainsim.simulation import simulate, tops_drawn
+from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.tops import find_tops, gaps_in, note_of
 from rainsim.terrain.types import NO_TOPS
 from rainsim.water.top_water import PINNED, RAINS, TopWater, sheet_depth

@@ -29,7 +29,7 @@ from rainsim.view.page_home import FRUSTUM, behind
 from rainsim.view.schedule import EXACT, SHARP, SMALL, STILL_AFTER, Schedule
 from rainsim.view.session import Viewpoint, out_of_date
 from rainsim.view.threads import ThreadChoice
-from rainsim.view.water import SharedWater
+from rainsim.view.water_states import SharedWater
 
 LATER = STILL_AFTER + 0.01
 

@@ -221,7 +221,7 @@ BOWL = np.zeros((4, 5))
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: standing_water(np.full((3, 3), np.nan), 0.1, 1.0), "9 cells that are not finite"),
+        (lambda: standing_water(np.full((3, 3), np.nan), 0.1, 1.0), r"\(9 such cells\)"),
         (lambda: standing_water(np.zeros(3), 0.1, 1.0), r"shape \(3,\)"),
         (lambda: standing_water(BOWL, -0.1, 1.0), "rainfall is -0.1 m"),
         (lambda: standing_water(BOWL, np.ones((5, 4)), 1.0), r"rainfall has shape \(5, 4\)"),

@@ -18,13 +18,12 @@ from rainsim.config.settings import Config
 from rainsim.drops import Weather
 from rainsim.errors import InputError, ParameterError
 from rainsim.grid import WaterSolver
+from rainsim.io.states import AT, NO_THROWS, read_state, write_state
 from rainsim.particles.spray import lay_clouds, spray_seen
 from rainsim.rain.throws import (
-    AT,
     BOW,
     FILM,
     FLIGHT,
-    NO_THROWS,
     SIDE,
     TREAD,
     Puffs,
@@ -42,7 +41,6 @@ from rainsim.rain.throws import (
 from rainsim.render.renderer import Renderer
 from rainsim.scene.folder import read_scene, write_scene
 from rainsim.scene.types import GroundFrame
-from rainsim.simulation import read_state, write_state
 from rainsim.terrain.types import Grid
 from rainsim.water.tyres import FASTEST, LEFT, Tyres
 from scenes import looking, rolling_scene
@@ -214,7 +212,7 @@ def test_the_account_of_thrown_water_closes(dtype, limit):
     tyres, solver, now = rolled(12.0, 2e-3, dtype=dtype)
     seen = []
     for _ in range(24):
-        ledger = tyres.book(solver.advance(0.05).ledger.as_dict(), now)
+        ledger = tyres.book(solver.advance(0.05).ledger, now).as_dict()
         assert abs(ledger["residual"]) < limit
         seen.append(ledger["airborne"])
         tyres.roll(solver, now, now + 0.05, CALM)

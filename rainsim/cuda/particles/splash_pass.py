@@ -233,7 +233,7 @@ class Splashes:
         recent, view, scene = self._recent, self._streaks.view, self._streaks.scene
         water = WaterDepth(self.depth, self.now["film"])
         per_list = 2 if SIMULATED else -(-recent.room // THREADS)
-        list_splashes[per_list * len(recent.found), GROUPS, stream](
+        list_splashes[per_list * len(recent.lists.found), GROUPS, stream](
             recent.lists, per_list, self._streaks.now["velocity"], view, scene, water,
             self.now["least"], self.now["closed"], self.count, self.lines,
         )  # fmt: skip

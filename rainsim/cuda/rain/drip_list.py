@@ -17,10 +17,11 @@ from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.particles.splash_pass import focal_of, seen_at, still_shows
 from rainsim.cuda.particles.streaks import view_of
 from rainsim.cuda.warp import GROUPS
+from rainsim.io.states import DRIP_COLUMNS
 from rainsim.particles.splash import LONGEST_LIFE, Impact
 from rainsim.particles.splash_pass import list_splash
 from rainsim.particles.streaks import Line, draw_line
-from rainsim.rain.dripping import DRIP_COLUMNS, drip_end, drip_line
+from rainsim.rain.dripping import drip_end, drip_line
 
 # A row of `table`, float64: DRIP_COLUMNS.
 DRIP = len(DRIP_COLUMNS)
@@ -39,7 +40,7 @@ class Page(NamedTuple):
     book : device array of shape (BOOK,), int64
         The account, see LISTED to FINE.
     table : device array of shape (room, DRIP), float64
-        See `rainsim.rain.dripping.DRIP_COLUMNS`.
+        See `rainsim.io.states.DRIP_COLUMNS`.
     where : device array of shape (room,), int32
         The point from which each parted.
     ids : device array of shape (room,), uint64

@@ -38,7 +38,7 @@ from rainsim.cuda.rain.drip_list import (
     Y,
     cell_of,
 )
-from rainsim.cuda.rain.settling import VOLUME_UNIT, CellLayout, RippleTile, ring
+from rainsim.cuda.rain.settling import VOLUME_UNIT, ring
 from rainsim.cuda.warp import THREADS
 from rainsim.cuda.water.step_control import UNIT, block_sum
 from rainsim.errors import BackendError
@@ -368,15 +368,14 @@ class Drips:
         """Set the next step: its times [s], the wind [m/s], a depth of finer rain [m]."""
         self._now.update(now=(start, stop, *wind, finer * self._area))
 
-    def launch(self, page, water, ripples, share, stream):
+    def launch(self, page, water, ripples, stream):
         """Queue a step that writes to a page; see `Impacts.settle`."""
         now, before = self.pages[page].page, self.pages[1 - page].page
         self._now.send(stream)
         now.book.copy_to_device(self._blank, stream=stream)
         drip[_STEP_BLOCKS, THREADS, stream](
             self._now["now"], self._sites, self._surfaces, before,
-            CellLayout(water.first, water.width, self._area),
-            RippleTile(ripples.size, ripples.steps, ripples.cells, share), self.came[page],
+            water.cells, ripples.tile, self.came[page],
             self._store, self._room, self._parted, self.came[1 - page], *now, water.waiting,
             ripples.pushes,
         )  # fmt: skip

@@ -9,7 +9,9 @@ import math
 
 import numpy as np
 
+from rainsim.cuda.driver import Event
 from rainsim.cuda.drops import Impacts, room_for
+from rainsim.cuda.graph import Graph
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.errors import BackendError
 from rainsim.particles.splash import LONGEST_LIFE
@@ -34,6 +36,10 @@ class RecentImpacts(Impacts):
     relisted : bool
         Whether what drops meet moves from frame to frame: then `list_again` lists all but the last
         interval for each frame, by what they meet at its time.
+    listed : Event
+        Of the last `list_beside`.
+    fallen : ndarray of shape (1,), int64
+        `obstacles` on the host, when what `settle` has queued is done.
     """
 
     def __init__(self, weather, surfaces, rate, ahead, stream=0):
@@ -43,7 +49,8 @@ class RecentImpacts(Impacts):
         slots = math.ceil(LONGEST_LIFE * rate) + ahead + 1
         super().__init__(field, surfaces, room_for(field, surfaces, 1 / rate), stream, slots)
         self._newest, self.relisted = None, False
-        self._seen = pinned(slots, np.int32)
+        self._seen, self.fallen = pinned(slots, np.int32), pinned(1, np.int64)
+        self.listed, self._recorded = Event(), None
 
     def update(self, frame):
         """Say that the frame of this number is next: `launch` then lists the last that it lacks.
@@ -88,7 +95,22 @@ class RecentImpacts(Impacts):
         """Queue the listing and the copy of its counts that `check` reads."""
         stream = self.stream if stream is None else stream
         super().launch(stream)
-        self.found.copy_to_host(self._seen, stream=stream)
+        self.lists.found.copy_to_host(self._seen, stream=stream)
+
+    def list_beside(self):
+        """Queue the listing on the own stream; it is recorded the first time, which waits."""
+        if self._recorded is None:
+            self.launch()
+            self.stream.synchronize()
+            self._recorded = Graph(self.stream, self.launch)
+        else:
+            self._recorded.launch()
+        self.listed.record(self.stream)
+
+    def settle(self, water, ripples, stream=0, drips=None):
+        """Queue what `Impacts.settle` does, and the copy to `fallen`."""
+        super().settle(water, ripples, stream, drips)
+        self.obstacles.copy_to_host(self.fallen, stream=stream)
 
     def check(self):
         """Raise BackendError if a finished list had too little room."""

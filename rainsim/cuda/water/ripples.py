@@ -13,9 +13,9 @@ import math
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.cuda.driver import to_device
+from rainsim.cuda.driver import Event, to_device
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
-from rainsim.cuda.rain.settling import PUSH_UNIT
+from rainsim.cuda.rain.settling import PUSH_UNIT, RippleTile
 from rainsim.errors import ParameterError
 from rainsim.reflection.slope_moments import MOMENTS, mean_of_four, place_of
 from rainsim.water.ripples import _LONGEST_STEP, SIZES
@@ -204,11 +204,13 @@ class Ripples:
     duration : float [s]
         From one frame to the next.
     stream : cuda.stream
+    share : float
+        Of the drops on the ground that ring on the tile.
 
     Attributes
     ----------
-    size, cells, steps : float [m], int, int
-        Of the tile, along a side; parts of the interval in which impacts are put together.
+    tile : settling.RippleTile
+        Its `steps` are the parts of the interval in which impacts are put together.
     pushes : device array, int64
         Momentum of drops that fell since, in `settling.PUSH_UNIT`: for each size of drops and each
         part a map of (cells, cells), one after the other.
@@ -221,17 +223,17 @@ class Ripples:
         If the tile's cells are no power of two or too many.
     """
 
-    def __init__(self, tile, duration, stream=0):
+    def __init__(self, tile, duration, stream=0, share=1.0):
         n = tile.cells
         if n & (n - 1) or not 8 <= n <= MOST:
             raise ParameterError(
                 f"the tile has {n} cells a side; on a CUDA device it must be a power of two from 8 "
                 f"to {MOST}"
             )
-        self.stream, self.size, self.cells = stream, tile.size, n
-        self.steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
-        self._maps = SIZES * ((self.steps + 1) // 2)
-        step = duration / self.steps
+        steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
+        self.stream, self.tile = stream, RippleTile(tile.size, steps, n, share)
+        self._maps = SIZES * ((steps + 1) // 2)
+        step = duration / steps
         shrink, angle = np.exp(-tile._damping * step), tile._omega * step
         wave = np.array(tile._ky[:, 0])
         wave[n // 2] = 0.0
@@ -252,15 +254,27 @@ class Ripples:
         self._surface = to_device(flat, stream), to_device(flat, stream)
         empty = np.zeros((n, n + n // 2, MOMENTS), np.float32)
         self.pages = [to_device(empty, stream) for _ in range(2)]
+        self._forked, self._joined = Event(), Event()
         self.turn_page(0)
 
     def turn_page(self, page):
         """Let the next frame's moments be that array of `pages`, so that the last ones stay."""
         self.moments = self.pages[page]
 
+    def fork(self, stream):
+        """Queue a frame beside what is queued on another stream from now on, until `join`."""
+        self._forked.record(stream)
+        self._forked.wait(self.stream)
+        self.launch()
+        self._joined.record(self.stream)
+
+    def join(self, stream):
+        """Let another stream wait for the frame."""
+        self._joined.wait(stream)
+
     def launch(self):
         """Queue a frame of ripples: waves advance, new drops excite rings, slope moments follow."""
-        n, re, im, other_re, other_im = self.cells, *self._maps_on_device
+        n, re, im, other_re, other_im = self.tile.cells, *self._maps_on_device
         tables = self._cosines, self._sines, n
         rows = n, self._maps
         transform_pushes[rows, n // 2, self.stream](self.pushes, *tables, re, im)
@@ -268,8 +282,8 @@ class Ripples:
         transform[rows, n // 2, self.stream](re, im, *tables, forth, other_re, other_im)
         blocks = -(-n * (n // 2 + 1) // THREADS)
         turn[blocks, THREADS, self.stream](
-            other_re, other_im, self.steps, n, np.float32(1 / self.size), *self._turn, self._waves,
-            re, im,
+            other_re, other_im, self.tile.steps, n, np.float32(1 / self.tile.size), *self._turn,
+            self._waves, re, im,
         )  # fmt: skip
         both, surface = (n, 2), [part.reshape(2 * n * n) for part in self._surface]
         transform[both, n // 2, self.stream](re, im, *tables, back, other_re, other_im)

@@ -14,15 +14,16 @@ from rainsim.cuda.driver import fetch, send, to_device
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.cuda.water.step_control import DRAINED, DROPPED, PARITY, UNIT
-from rainsim.grid import DRY_DEPTH
+from rainsim.io.states import NO_IDS, NO_THROWS, NO_TRACKS
 from rainsim.rain.moving_surfaces import MovingSurfaces
-from rainsim.water.sources import lift_cells
+from rainsim.water.sources import DRY_DEPTH, lift_cells
 from rainsim.water.tyres import Tyres
 from rainsim.water.window_tyres import tyres_of
 
 THREADS = 8 if SIMULATED else 128
 ROOM = 4096  # cells that there is room for at first
 H, REMAINDER, FILM, WAITING = range(4)  # rows of the table of cells; drops that wait in UNIT
+NOTHING_THROWN = {"tracks": NO_TRACKS, "throws": NO_THROWS, "throw_id": NO_IDS}
 
 
 @cuda_kernel
@@ -97,8 +98,7 @@ class Road:
     """
 
     def __init__(self, water):
-        self._water, self._area = water, water.spacing**2
-        self._plane = len(water.cells[3])
+        self._water, self._area, self._plane = water, water.cells.area, len(water.waiting)
         self._make_room(ROOM)
         self._cells = np.zeros(0, np.int64)
 
@@ -123,9 +123,8 @@ class Road:
         count = len(self._cells)
         self._room_for(count)
         send(self._places[:count], self._cells, stream)
-        state, _, fields, remainder, film = water.cells
         self._launch(read_cells, count)(
-            self._places, count, state, self._plane, fields, remainder, film, water.waiting,
+            self._places, count, water.account.state, self._plane, *water.arrays, water.waiting,
             self._table,
         )  # fmt: skip
         h, remainder, film, waiting = fetch(self._table, stream)[:, :count]
@@ -152,10 +151,10 @@ class Road:
         table = np.zeros(self._table.shape)
         table[:WAITING, :count] = self._held
         send(self._table, table, stream)
-        state, control, *cells = water.cells
+        account = water.account
         self._launch(write_cells, count)(
-            self._places, count, self._table, self._dropped, self._taken, state, self._plane,
-            control, *cells, water.waiting,
+            self._places, count, self._table, self._dropped, self._taken, account.state,
+            self._plane, account.control, *water.arrays, water.waiting,
         )  # fmt: skip
         self._cells = self._cells[:0]
 
@@ -208,6 +207,8 @@ class Traffic:
     Attributes
     ----------
     tyres : DeviceTyres
+    thrown : list of dict
+        What `Tyres.state` returned for the last states by their page.
     """
 
     def __init__(self, terrain, config, wind, exposure):
@@ -218,6 +219,7 @@ class Traffic:
         self._depth = np.zeros(terrain.grid.shape, np.float32)
         self._rows, self._opened = [], exposure
         self._road = self._heights = self._water = None
+        self.thrown = [NOTHING_THROWN, NOTHING_THROWN]
 
     def roll_over(self, water, impacts):
         """Take over the water of a device and, if it rains, the drops that are listed there."""
@@ -245,9 +247,9 @@ class Traffic:
         """Let tyres roll from `start` to `stop` [s], see `Tyres.roll`; waits for the device."""
         self.tyres.roll(self._road, start, stop, weather)
 
-    def state(self, depth, time):
-        """Return throws, their ids and tracks over water of a depth, see `Tyres.state`."""
-        part = self.tyres.passed()
+    def look(self, page, time):
+        """Keep throws, their ids and tracks at the time [s] of a page's water; waits for it."""
+        part, depth = self.tyres.passed(), self._water.depths[page]
         if part is not None:
             self._depth[part[0]] = fetch(depth[part[0].start : part[0].stop], self._water.stream)
-        return self.tyres.state(self._depth, time)
+        self.thrown[page] = self.tyres.state(self._depth, time)

@@ -75,3 +75,21 @@ def level_changes(terrain, config):
         return rows.astype(np.int32), columns.astype(np.int32), gained[rows, columns]
 
     return between
+
+
+def moved_water(terrain, config, exposure, begin=0.0):
+    """Return how keyframes move water, see `past_rain_growth` and `level_changes`.
+
+    The function that is returned takes a solver, the `Objects` that book what comes from outside,
+    and two times [s].
+    """
+    growth = past_rain_growth(terrain, config, exposure, begin)
+    change = level_changes(terrain, config)
+
+    def move(solver, objects, before, time):
+        if growth is not None:
+            solver.deposit(*growth(before, time))
+        if change is not None:
+            objects.let_in(solver, *change(before, time))
+
+    return move

@@ -1,0 +1,238 @@
+"""States of the water as files: those of a frame (`SimState`), and those of a `WaterSolver`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rainsim.errors import InputError
+from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
+from rainsim.io.files import json_number, parsed_json
+from rainsim.ledger import SUPPLY, WHEREABOUTS
+
+# in m, s and m/s; the wind is that at half the height of the fall
+DRIP_COLUMNS = ("x", "y", "top", "bottom", "diameter", "begin", "end", "wind_x", "wind_y")
+# of a row of a table of throws, see `rainsim.rain.throws`
+THROW_COLUMNS = (
+    "begin", "end", "x", "y", "z", "x_end", "y_end", "out_x", "out_y", "width", "radius",
+    "covered", "car", "wind_x", "wind_y", "section", "depth", "bow", "side", "tread", "film",
+    "mist",
+)  # fmt: skip
+AT = {name: k for k, name in enumerate(THROW_COLUMNS)}
+NO_DRIPS = np.zeros((0, len(DRIP_COLUMNS)))
+NO_THROWS = np.zeros((0, len(THROW_COLUMNS)))
+NO_TRACKS = np.zeros((0, 0), np.uint8)
+NO_IDS = np.zeros(0, np.uint64)
+
+
+@dataclass(frozen=True)
+class SimState:
+    """Water at one frame's time.
+
+    Attributes
+    ----------
+    index : int
+        Of the frame.
+    time : float [s]
+    depth : ndarray of shape (ny, nx), float32 [m]
+    velocity : ndarray of shape (2, ny, nx), float32 [m/s]
+        u, v at cell centres.
+    slopes : ndarray of shape (2, n, n), float32
+        Ripple slopes d eta/dx and d eta/dy on a periodic tile of `tile_size`.
+    tile_size : float [m]
+    impact_position : ndarray of shape (k, 3), float32 [m]
+        Where drops hit between the frame before and this one.
+    impact_diameter : ndarray of shape (k,), float32 [m]
+    impact_kind : ndarray of shape (k,), uint8
+        `drops.GROUND` (or the water on it) or `drops.OBSTACLE`.
+    ledger : dict
+        Volumes in m3, see `rainsim.ledger`.
+    notes : tuple of str
+    drips : ndarray of shape (m, 9), float64
+        Drops from edges that are in the air or have just landed, see `DRIP_COLUMNS`.
+    drip_id : ndarray of shape (m,), uint64
+    top_water : ndarray of shape (n,), float64 [m3]
+        On each of the terrain's tops, see `water.top_water`.
+    throws : ndarray of shape (t, 22), float64
+        What tyres have thrown that may be in the air, see `THROW_COLUMNS`.
+    throw_id : ndarray of shape (t,), uint64
+    tracks : ndarray of shape (ny, nx) or (0, 0), uint8
+        How full the film is where tyres have passed, of 255; see `Tyres.tracks`. Of a window
+        over all that lies around it.
+    """
+
+    index: int
+    time: float
+    depth: np.ndarray
+    velocity: np.ndarray
+    slopes: np.ndarray
+    tile_size: float
+    impact_position: np.ndarray
+    impact_diameter: np.ndarray
+    impact_kind: np.ndarray
+    ledger: dict
+    notes: tuple = ()
+    drips: np.ndarray = field(default_factory=NO_DRIPS.copy)
+    drip_id: np.ndarray = field(default_factory=NO_IDS.copy)
+    top_water: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    throws: np.ndarray = field(default_factory=NO_THROWS.copy)
+    throw_id: np.ndarray = field(default_factory=NO_IDS.copy)
+    tracks: np.ndarray = field(default_factory=NO_TRACKS.copy)
+
+    def shown_by(self, index):
+        """Return this state as the one that the frame `index` shows."""
+        return replace(self, index=index)
+
+
+VERSION = 1
+STATE, STATE_REMEDY = "water state", "`rainsim simulate` writes it; simulate again"
+FARTHEST, LONGEST = 1e7, 1e9  # m, s: places and times in a file
+LONGEST_FALL, LARGEST_DROP = 500.0, 0.05  # s, m: of drips
+_FIELDS = {
+    "depth": Field("float32", ("ny", "nx"), 0, 1e5),
+    "velocity": Field("float32", (2, "ny", "nx"), -1e4, 1e4),
+    "slopes": Field("float32", (2, "tile cells", "tile cells"), -1e4, 1e4),
+    "impact_position": Field("float32", ("impacts", 3), -FARTHEST, FARTHEST),
+    "impact_diameter": Field("float32", ("impacts",), 0, LARGEST_DROP),
+    "impact_kind": Field("uint8", ("impacts",), 0, 1),
+    "drips": Field("float64", ("drips", len(DRIP_COLUMNS)), -LONGEST, LONGEST),
+    "drip_id": Field("uint64", ("drips",), 0, 2**64 - 1),
+    "top_water": Field("float64", ("tops",), 0, 1e9),
+    "throws": Field("float64", ("throws", len(THROW_COLUMNS)), -LONGEST, LONGEST),
+    "throw_id": Field("uint64", ("throws",), 0, 2**64 - 1),
+    "tracks": Field("uint8", ("tracks ny", "tracks nx"), 0, 255),
+}
+_OTHERS = {
+    "index": Field("int64", (), 0, 99_999),
+    "time": Field("float64", (), 0, LONGEST),
+    "tile_size": Field("float64", (), 0.01, 100),
+    "ledger": Field(TEXT),
+    "notes": Field(TEXT),
+}
+
+
+def write_state(path, state):
+    """Write the `SimState` `state` to `path` as an uncompressed .npz."""
+    others = {
+        "index": np.int64(state.index), "time": np.float64(state.time),
+        "tile_size": np.float64(state.tile_size), "ledger": json.dumps(state.ledger),
+        "notes": json.dumps(state.notes),
+    }  # fmt: skip
+    write_arrays(path, VERSION, {n: getattr(state, n) for n in _FIELDS} | others)
+
+
+def read_state(path, terrain=None):
+    """Return the `SimState` that `write_state` wrote, all of it checked.
+
+    Parameters
+    ----------
+    path : path-like
+    terrain : Terrain, optional
+        If given the state must be one of water on it.
+
+    Examples
+    --------
+    >>> rainsim.write_state("00000.npz", state)
+    >>> bool((rainsim.read_state("00000.npz", terrain).depth == state.depth).all())
+    True
+    """
+    found = read_arrays(path, STATE, _FIELDS | _OTHERS, VERSION, STATE_REMEDY)
+    facts = {"ledger": parsed_json(found["ledger"]), "notes": parsed_json(found["notes"])}
+    tops = 0 if terrain is None else len(terrain.tops)
+    for wrong, text in (
+        (not _are_volumes(facts["ledger"]), "its ledger is not that of rainsim"),
+        (not _are_texts(facts["notes"]), "its notes are not a list of texts"),
+        (found["slopes"].shape[1] < 2, "its tile of ripples has no cells"),
+        (not _fall(found["drips"]), "its drips do not fall"),
+        (terrain is not None and found["depth"].shape != terrain.grid.shape,
+         "it is not of this height map, whose shape is another"),
+        (terrain is not None and len(found["top_water"]) not in (0, tops),
+         "it is not of this height map, which has other tops"),
+        (found["tracks"].shape not in ((0, 0), found["depth"].shape),
+         "its tracks are those of another height map"),
+        (not _are_thrown(found["throws"]), "its tyres do not roll"),
+    ):  # fmt: skip
+        if wrong:
+            raise InputError(f"{path} is no {STATE} of rainsim ({text}); {STATE_REMEDY}")
+    return SimState(
+        index=int(found["index"]), time=float(found["time"]), tile_size=float(found["tile_size"]),
+        ledger=facts["ledger"], notes=tuple(facts["notes"]),
+        **{n: found[n] for n in _FIELDS},
+    )  # fmt: skip
+
+
+def _are_volumes(ledger):
+    """Whether a value read from JSON is an account of volumes."""
+    names = (*SUPPLY, *WHEREABOUTS)
+    return isinstance(ledger, dict) and all(json_number(ledger.get(n)) is not None for n in names)
+
+
+def _are_texts(notes):
+    return isinstance(notes, list) and all(isinstance(note, str) for note in notes)
+
+
+def _are_thrown(table):
+    """Whether the rows of a table of throws have a duration, a way and no negative volumes."""
+    lasts = table[:, AT["end"]] > table[:, AT["begin"]]
+    rolls = (table[:, AT["x"] : AT["y"] + 1] != table[:, AT["x_end"] : AT["y_end"] + 1]).any(axis=1)
+    sizes = table[:, [AT["width"], AT["radius"], *range(AT["section"], len(THROW_COLUMNS))]]
+    return bool((lasts & rolls & (sizes >= 0).all(axis=1)).all())
+
+
+def _fall(drips):
+    """Whether the rows of drips have a size and fall for a while."""
+    diameter, begin, end = drips[:, 4], drips[:, 5], drips[:, 6]
+    fits = (diameter > 0) & (diameter <= LARGEST_DROP)
+    return bool((fits & (end >= begin) & (end - begin <= LONGEST_FALL)).all())
+
+
+# --- of a solver ----------------------------------------------------------------------------------
+
+SOLVER, SOLVER_REMEDY = "state of the water solver", "write it with WaterSolver.save"
+
+
+def digest(*arrays):
+    """Return the SHA-256 of the bytes of arrays, 64 hexadecimal digits."""
+    found = hashlib.sha256()
+    for array in arrays:
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
+
+
+def write_solver(path, made_of, arrays):
+    """Write the state of a solver: arrays by name, and a text that says what it was made of."""
+    write_arrays(path, VERSION, {**arrays, "made_of": np.array(made_of)})
+
+
+def read_solver(path, made_of, wanted):
+    """Return the arrays that `write_solver` wrote, by name.
+
+    Parameters
+    ----------
+    path : path-like
+    made_of : str
+        Must be the same in the file.
+    wanted : dict of str to ndarray
+        Arrays of the same names, types and shapes.
+
+    Raises
+    ------
+    InputError
+        If the file is no such state, or one of a solver that was made differently.
+    """
+
+    def read(fields):
+        return read_arrays(path, SOLVER, fields, VERSION, SOLVER_REMEDY)
+
+    if read({"made_of": Field(TEXT)})["made_of"] != made_of:
+        raise InputError(
+            f"{path} is the state of a solver that was made differently; make this one with the "
+            "same bed, scheme, type and conditions"
+        )
+    return read({
+        name: Field(TEXT) if array.dtype.kind == "U" else Field(array.dtype.name, array.shape)
+        for name, array in wanted.items()
+    })  # fmt: skip
