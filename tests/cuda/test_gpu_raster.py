@@ -156,8 +156,8 @@ def test_the_garden_as_gsplat_and_the_cpu_draw_it(twin, shared, name):
 
 
 def test_hits_of_more_splats_than_a_float32_tells_apart(twin, rng):
-    """17 million splats, most of them behind the camera; and few, by digits of few numbers."""
-    n = 17_000_000
+    """19 million splats, most of them behind the camera; and few, by digits of few numbers."""
+    n = 19_000_000
     place = rng.uniform((-3, -2, -9), (3, 2, 3), (n, 3)).astype(np.float32)
     many = raster.prepare(Splats(
         place, np.tile(np.float32([1, 0, 0, 0]), (n, 1)), np.full((n, 3), 0.004, np.float32),
