@@ -151,7 +151,7 @@ def _write_states(status, ground, terrain, config, preset, out, resume):
     ledgers = {index: entry["ledger"] for index, entry in kept.items()}
     if kept:
         status.say(f"{len(kept)} of {len(config.indices)} states are finished and kept")
-    water = simulate_water(ground, config, status.progress)
+    water = simulate_water(ground, config)
     for state in frames_of(water, config, status.progress, kept):
         if not record.files:  # now that there is something to write
             _write_simulation(out, source, map_file, record, config, preset, origin)
