@@ -139,11 +139,11 @@ def classes():
 
 def formats():
     """Return the table of rainsim's own files, with the version that is written and read."""
-    from rainsim import output_folder, simulation
+    from rainsim import output_folder
     from rainsim.actors import actor_files
     from rainsim.commands import film
     from rainsim.datasets import card
-    from rainsim.io import images
+    from rainsim.io import images, states
     from rainsim.render import frame_files
     from rainsim.scene import folder, ground, painted
     from rainsim.sensors import drive
@@ -159,7 +159,7 @@ def formats():
             "`heightmap`",
             "ground, what stands on it, classes, noise",
         ),
-        ("states/NNNNN.npz", simulation.STATE_VERSION, "`simulate`", "water at a frame's time"),
+        ("states/NNNNN.npz", states.VERSION, "`simulate`", "water at a frame's time"),
         ("simulation.json", film.VERSION, "`simulate`", "settings and input of the states"),
         ("layers/NAME/NNNNN.npz", images.VERSION, "`run`, `render`", "a float layer"),
         ("FILE.npz", images.VERSION, "`splat`", "colour, alpha, depth, normals of a dry picture"),

@@ -391,8 +391,8 @@ def draw(result, path):
     curves = result["curves"]
     _draw_spectrum(*axes[0, :2], curves["drops along a path"])
     rate = np.geomspace(1, 100, 60)
-    axes[0, 2].plot(rate, 0.312 * rate**0.67, color=COLORS[1], label=WEBER)
-    axes[0, 2].plot(rate, 1.076 * rate**0.67 / DB, color=COLORS[2], label=FSO)
+    axes[0, 2].plot(rate, 0.312 * rate**0.67, color=COLORS[1], label="Weber")
+    axes[0, 2].plot(rate, 1.076 * rate**0.67 / DB, color=COLORS[2], label="Carbonneau, Wisely")
     ours = curves["extinction in pictures"]
     axes[0, 2].plot([float(r) for r in ours], list(ours.values()), "o", color=COLORS[0],
                     label="ours, drawn")  # fmt: skip

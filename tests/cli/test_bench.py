@@ -22,7 +22,7 @@ def test_results_are_printed_and_written(suite, monkeypatch, tmp_path):
 
     monkeypatch.setattr(suite, "run", run)
     monkeypatch.setattr(suite, "table", lambda result: f"error {result['error']}")
-    name = suite.__name__.rpartition(".")[2]
+    name = suite.__name__.rpartition(".")[2].removesuffix("_error")
     path = tmp_path / "r.json"
     done = CliRunner().invoke(cli, ["bench", name, "--quick", "--json", str(path)])
     assert done.exit_code == 0 and "error 0.5" in done.stdout and "working" in done.stderr
