@@ -13,7 +13,7 @@ import pytest
 
 from made_captures import patio, ring, splats_at
 from rainsim.bench import captures
-from rainsim.bench import ground_error as suite
+from rainsim.bench import ground as suite
 from rainsim.errors import GroundError, InputError, ParameterError
 from rainsim.scene.cameras import look_at, read_cameras
 from rainsim.scene.ground import (

@@ -8,7 +8,7 @@ import pytest
 
 from rainsim import terrain
 from rainsim.bench import captures
-from rainsim.bench import ground_error as suite
+from rainsim.bench import ground as suite
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
