@@ -19,7 +19,7 @@ from rainsim.errors import ParameterError, counted
 DEFAULT_RAINS = "0,1,5,10,25,50"
 MOST_RAINS = 64
 ROUNDED = 1e-9  # by which the shape of a pixel may differ from rounding alone
-MOST_LAYERS = 13  # AOVs that a picture's labels are made from
+MOST_LAYERS = 26  # AOVs of a picture's labels, and those of two that are being written
 
 
 @click.command(short_help="Write a data set: clear and rainy pictures with labels.")

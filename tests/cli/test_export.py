@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rainsim.commands.export import as_square_as
+from rainsim.datasets import export as writing
 from rainsim.io.images import read_image
 from rainsim.render.shutter import moved
 from rainsim.scene.cameras import read_cameras, resize_to, write_transforms
@@ -85,6 +86,30 @@ def test_an_export_that_was_killed_goes_on(export, tmp_path):
     assert one == other
     cameras, _ = read_model(folder / "rain/25mm")
     assert [c.name for c in cameras] == ["view_0", "view_2"]
+
+
+def test_a_sample_that_cannot_be_written_is_the_error_and_the_others_stay(
+    export, tmp_path, monkeypatch
+):
+    words = "--rain", "25", "--layout", "colmap"
+    assert export("whole", *words).code == 0
+    whole = writing.write_file
+
+    def full(folder, file):
+        if "view_1.png" in file.name and folder.name == "cut":
+            raise OSError(28, "No space left on device", file.name)
+        return whole(folder, file)
+
+    monkeypatch.setattr(writing, "write_file", full)
+    done = export("cut", *words)
+    assert done.code == 1 and "view_1.png" in done.error
+    lines = (tmp_path / "cut/pictures.jsonl").read_text().splitlines()
+    noted = [json.loads(line) for line in lines]
+    assert "view_1" not in {n["view"] for n in noted} and "view_0" in {n["view"] for n in noted}
+    monkeypatch.setattr(writing, "write_file", whole)
+    assert export("cut", *words, "--resume").code == 0
+    one, other = (without_times(files_in(tmp_path / n)) for n in ("whole", "cut"))
+    assert one == other
 
 
 def test_folders_of_others_are_left_alone(export, tmp_path):
