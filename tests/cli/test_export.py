@@ -310,7 +310,7 @@ def test_pixels_keep_their_shape():
     assert as_square_as(oblong, oblong) == oblong
 
 
-def test_clouds_belong_to_one_layout(export, tmp_path):
+def test_clouds_belong_to_two_layouts(export, tmp_path):
     done = export("out", "--lidar", "vlp16")
     assert done.code == 2 and "--lidar is of --layout kitti_object" in done.error
     assert not (tmp_path / "out").exists()
@@ -321,3 +321,11 @@ def test_clouds_belong_to_one_layout(export, tmp_path):
     points = np.fromfile(training / "velodyne/000000.bin", "<f4").reshape(-1, 4)
     assert len(points) * 4 == (training / "labels/000000.label").stat().st_size > 4000
     assert (training / "label_2/000000.txt").read_text() == ""
+    done = export("drive", "--layout", "semantic_kitti", "--lidar", "vlp16", "--rain", "0,25",
+                  "--views", "view_0", "--drive", "--fps", "4")  # fmt: skip
+    assert done.code == 0, done.err
+    for place in ("clear", "rain/25mm"):
+        root = tmp_path / f"drive/{place}/sequences/00"
+        points = np.fromfile(root / "velodyne/000000.bin", "<f4").reshape(-1, 4)
+        assert len(points) * 4 == (root / "labels/000000.label").stat().st_size > 4000
+        assert (root / "times.txt").read_text() == "0.000000e+00\n"
