@@ -211,6 +211,21 @@ def write_set(folder, plan, **changes):
     return samples
 
 
+def test_partners_are_data_sets_of_nerfstudio_too():
+    plan = replace(plan_with(), partners=("clear_air", "dry"))
+    files = {f.name: f.content for f in nerfstudio.plan_files(plan, None)}
+    assert "clear/transforms_dry.json" not in files
+    rain, air, dry = (files[f"rain/10mm/transforms{n}.json"] for n in ("", "_clear_air", "_dry"))
+    for name, data in (("clear_air", air), ("dry", dry)):
+        assert data["train_filenames"] == [
+            p.replace("images/", f"rainsim/{name}/") for p in rain["train_filenames"]
+        ]
+        for frame, own in zip(data["frames"], rain["frames"], strict=True):
+            assert frame["file_path"] == own["file_path"].replace("images/", f"rainsim/{name}/")
+            assert frame["transform_matrix"] == own["transform_matrix"]
+            assert ("mask_path" in frame) == (name != "dry")
+
+
 def test_our_reader_gives_back_what_was_written(tmp_path):
     plan = plan_with()
     samples = write_set(tmp_path, plan)
