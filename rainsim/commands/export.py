@@ -19,7 +19,7 @@ from rainsim.errors import ParameterError, counted
 DEFAULT_RAINS = "0,1,5,10,25,50"
 MOST_RAINS = 64
 ROUNDED = 1e-9  # by which the shape of a pixel may differ from rounding alone
-MOST_LAYERS = 13  # AOVs that a picture's labels are made from
+MOST_LAYERS = 26  # AOVs of a picture's labels, and those of two that are being written
 
 
 @click.command(short_help="Write a data set: clear and rainy pictures with labels.")
@@ -105,7 +105,7 @@ MOST_LAYERS = 13  # AOVs that a picture's labels are made from
     "--lidar",
     type=click.Choice(("vlp16", "hdl32", "hdl64")),
     show_default="hdl64",
-    help="Which lidar stands at the camera; with --layout kitti_object.",
+    help="Which lidar stands at the camera; with --layout kitti_object or semantic_kitti.",
 )
 @click.option(
     "--partners",
@@ -164,8 +164,10 @@ def export(
         check_speed(given["drive_speed"])
         if not given["drive"]:
             raise ParameterError("--drive-speed is the speed of --drive; give that too")
-    if layout != SCANNED and given["lidar"] is not None:
-        raise ParameterError(f"--lidar is of --layout {SCANNED}; give that, or leave it out")
+    if layout not in SCANNED and given["lidar"] is not None:
+        raise ParameterError(
+            f"--lidar is of --layout {' or '.join(SCANNED)}; give one, or leave it out"
+        )
     lens = None
     if given["lens"] is not None:
         from rainsim.sensors.lens_files import lens_named
@@ -288,7 +290,7 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given):
         partners += ("no_glass",)
     return Plan(
         options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names(),
-        partners,
+        partners, 1 / config.fps if sequence else 0.0,
     )  # fmt: skip
 
 
@@ -365,7 +367,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         readout = given["rolling"] * 1e-3
         shots = Shots(
             scene, terrain, plan.views, config, plan.sequence, backend, user_labels, readout,
-            pane, given["partners"], (given["lidar"] or "hdl64") if layout == SCANNED else None,
+            pane, given["partners"], (given["lidar"] or "hdl64") if layout in SCANNED else None,
         )  # fmt: skip
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))

@@ -3,7 +3,7 @@
 After cityscapesScripts (labels.py, csHelpers.py): leftImg8bit/SPLIT/CITY holds
 CITY_SEQUENCE_FRAME_leftImg8bit.png, gtFine the same names with _gtFine_labelIds.png,
 _gtFine_instanceIds.png (16 bits: id x 1000 + number for what has instances, else the id) and
-_gtFine_labelTrainIds.png. There are no polygons and no colours. Views held out are in val.
+_gtFine_labelTrainIds.png and _gtFine_color.png. There are no polygons. Views held out are in val.
 """
 
 from __future__ import annotations
@@ -25,6 +25,12 @@ from rainsim.datasets.sample import depth_mm
 from rainsim.terrain.table import WATER
 
 PER_CLASS = 1000  # instances that a class has room for
+COLORS = np.frombuffer(bytes.fromhex(
+    # Red, green and blue of Cityscapes' ids from 0 on.
+    "000000 000000 000000 000000 000000 6f4a00 510051 804080 f423e8 faaaa0 e6968c 464646"
+    "66669c be9999 b4a5b4 966464 96785a 999999 999999 faaa1e dcdc00 6b8e23 98fb98 4682b4"
+    "dc143c ff0000 00008e 000046 003c64 00005a 00006e 005064 0000e6 770b20"
+), np.uint8).reshape(-1, 3)  # fmt: skip
 
 
 def sample_files(sample, plan):
@@ -39,6 +45,7 @@ def sample_files(sample, plan):
     gt = f"{folder}/gtFine/{name}_gtFine"
     yield DataFile(f"{gt}_labelIds.png", PNG, ids)
     yield DataFile(f"{gt}_labelTrainIds.png", PNG, table[ids])
+    yield DataFile(f"{gt}_color.png", PNG, COLORS[ids])
     yield DataFile(f"{gt}_instanceIds.png", PNG16, instance_ids(sample, ids))
     depth = depth_mm(sample.depth)
     yield DataFile(f"{folder}/depth/{name}_depth.png", PNG16, depth)

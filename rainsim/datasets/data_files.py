@@ -12,7 +12,6 @@ import numpy as np
 from rainsim.errors import ParameterError
 from rainsim.io import images
 from rainsim.io.files import replacing
-from rainsim.io.png48 import write_png48
 
 PNG, PNG16, PNG48, NPY, JSON, TEXT, BYTES = range(7)
 FOLDER = "rainsim"  # in the folder of each rain, with what a layout cannot hold
@@ -41,7 +40,7 @@ def write_file(folder, file):
     elif file.kind == PNG16:
         images.write_png16(path, file.content)
     elif file.kind == PNG48:
-        write_png48(path, file.content)
+        images.write_png48(path, file.content)
     else:
         with replacing(path) as temporary:
             temporary.write_bytes(_bytes_of(file))

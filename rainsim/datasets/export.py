@@ -7,6 +7,7 @@ import re
 import shutil
 import sys
 import time
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -20,6 +21,7 @@ from rainsim.io.journal import SHARED_FOLDER, Journal
 from rainsim.output_folder import CLAIM, TEMPORARY, input_facts, versions
 
 CARD, CARD_TEXT, JOURNAL = "card.json", "CARD.md", "pictures.jsonl"
+AHEAD = 1  # samples that may wait for their files beside the one that is drawn
 PART = r"[\w+-][\w.+-]*"
 OURS = re.compile(rf"{PART}(/{PART})*")  # names that lead nowhere but below the folder
 
@@ -124,13 +126,16 @@ class DataSetFolder:
         shutil.rmtree(self.folder / SHARED_FOLDER, ignore_errors=True)
         self.journal = Journal(self.folder, JOURNAL, _is_ours)
 
-    def add(self, sample):
-        """Write a sample's files and note it as finished."""
+    def write(self, sample):
+        """Write a sample's files, in any thread, and return their names."""
         files = [*self.layout.sample_files(sample, self.plan),
                  *beside.sample_files(sample, self.plan)]  # fmt: skip
         # PNGs are packed outside the interpreter's lock, each on a core of its own.
         with ThreadPoolExecutor() as pool:
-            names = list(pool.map(partial(write_file, self.folder), files))
+            return list(pool.map(partial(write_file, self.folder), files))
+
+    def note(self, sample, names):
+        """Note a sample as finished whose files are whole."""
         part = self.part(sample.rate, sample.view.index)
         self.journal.add(part, names, rain=sample.rate, view=sample.view.name)
         self.kept.add(part)
@@ -158,15 +163,30 @@ def export(shots, folder, config_of, tell=None):
     """Draw and write all samples that are missing in a `DataSetFolder`.
 
     config_of(rate) gives the settings of a rain rate [mm/h]; tell(stage, done, total) is called.
+    A sample is written while the next one is drawn; the first that could not be raises its error.
     """
     folder.begin(config_of)
-    done = len(folder.kept)
-    for rate in folder.plan.rates:
-        for sample in shots.draw(rate, folder.missing(rate)):
-            folder.add(sample)
-            done += 1
-            if tell is not None:
-                tell("pictures", done, folder.count)
+    drawn = (s for rate in folder.plan.rates for s in shots.draw(rate, folder.missing(rate)))
+    waiting = deque()  # samples in their order, and what writes them
+
+    def note_first():
+        sample, written = waiting.popleft()
+        folder.note(sample, written.result())
+        if tell is not None:
+            tell("pictures", len(folder.kept), folder.count)
+
+    with ThreadPoolExecutor(1) as writer:
+        try:
+            for sample in drawn:
+                waiting.append((sample, writer.submit(folder.write, sample)))
+                if len(waiting) > AHEAD:
+                    note_first()
+            while waiting:
+                note_first()
+        finally:  # of an error or an interrupt: what else was drawn stays
+            for sample, written in waiting:
+                if written.exception() is None:
+                    folder.note(sample, written.result())
     folder.finish()
 
 

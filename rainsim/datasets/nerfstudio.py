@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.data_files import BYTES, JSON, PNG, PNG16, DataFile, condition
+from rainsim.datasets.data_files import BYTES, FOLDER, JSON, PNG, PNG16, DataFile, condition
 from rainsim.datasets.points import ply_bytes
 from rainsim.datasets.sample import depth_mm
 from rainsim.datasets.splits import lists_of
@@ -32,21 +32,28 @@ def plan_files(plan, folder):
     for rate in plan.rates:
         folder = condition(rate)
         yield DataFile(f"{folder}/transforms.json", JSON, transforms(plan))
+        for name in plan.partners if rate > 0 else ():
+            yield DataFile(f"{folder}/transforms_{name}.json", JSON, transforms(plan, name))
         yield DataFile(f"{folder}/points.ply", BYTES, ply_bytes(plan.points, plan.colors))
 
 
-def transforms(plan):
-    """Return what transforms.json holds: poses in the ground frame [m], OpenGL's camera axes."""
+def transforms(plan, partner=None):
+    """Return what transforms.json holds: poses in the ground frame [m], OpenGL's camera axes.
+
+    Its pictures are the rain's, or those of a partner, a name in `sample.PARTNERS`. Masks are those
+    of the rain, but for the dry partner, of which all counts.
+    """
+    pictures = "images" if partner is None else f"{FOLDER}/{partner}"
     lens = plan.views[0].lens
     fisheye = lens is not None and lens.model == "fisheye"
     keys = FISHEYE_KEYS if fisheye else OPENCV_KEYS
     bent = {} if lens is None else dict(zip(keys, lens.values, strict=False))
-    train, val, test = ([f"images/{view.name}.png" for view in part]
+    train, val, test = ([f"{pictures}/{view.name}.png" for view in part]
                         for part in lists_of(plan.views))  # fmt: skip
     frames = [{
-        "file_path": f"images/{view.name}.png",
+        "file_path": f"{pictures}/{view.name}.png",
         "depth_file_path": f"depths/{view.name}.png",
-        "mask_path": f"masks/{view.name}.png",
+        **({} if partner == "dry" else {"mask_path": f"masks/{view.name}.png"}),
         "w": view.camera.width, "h": view.camera.height,
         "fl_x": view.camera.fx, "fl_y": view.camera.fy,
         "cx": view.camera.cx, "cy": view.camera.cy, **bent,

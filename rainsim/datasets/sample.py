@@ -70,6 +70,7 @@ class Plan:
     colors: np.ndarray  # (n, 3), uint8, of the points
     names: dict  # classes by id
     partners: tuple = ()  # names in PARTNERS that rainy pictures have
+    interval: float = 0.0  # s from view to view of a sequence
 
 
 def keep_mask(rain_alpha, splash_alpha, class_id):

@@ -7,6 +7,7 @@ import math
 import os
 import stat
 import tempfile
+import threading
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from rainsim.errors import InputError
 
 MAX_LENGTH = 1e12  # capture units; squares and products beyond overflow float32
 MOST_NAME = 255  # characters of a camera's or scene's name
+_ASKING = threading.Lock()  # two threads at once would leave the mask at 0
 MOST_TEXT = 1 << 28  # bytes of a JSON file; one of 100,000 cameras has a quarter
 
 
@@ -95,8 +97,9 @@ def naming(path):
 
 
 def _umask():
-    mask = os.umask(0)
-    os.umask(mask)
+    with _ASKING:
+        mask = os.umask(0)
+        os.umask(mask)
     return mask
 
 

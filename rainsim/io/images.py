@@ -17,9 +17,9 @@ from rainsim.errors import InputError, ParameterError
 from rainsim.io.arrays import write_arrays
 from rainsim.io.exr import openexr
 from rainsim.io.files import replacing, require_file
+from rainsim.io.png import write_png_file
 
 VERSION = 1  # of files of float pictures
-PNG_LEVEL = 2  # three times as fast as the usual 6 and a twelfth larger
 PREVIEW_WIDTH = 480  # px at most
 PREVIEW_FRAMES = 240  # at most; a longer film's preview skips frames
 PREVIEW_QUALITY = 75
@@ -45,8 +45,12 @@ def write_png(path, image):
     image = np.asarray(image)
     if image.dtype != np.uint8:
         raise ParameterError(f"the picture for {path} is {image.dtype}; a PNG here must be uint8")
-    with replacing(path) as temporary:
-        _write(temporary, image, extension=".png", compress_level=PNG_LEVEL)
+    if not (image.size and (image.ndim == 2 or image.shape[2:] in ((1,), (2,), (3,), (4,)))):
+        raise ParameterError(
+            f"the picture for {path} has the shape {image.shape}; it must be (height, width) or "
+            "(height, width, 3)"
+        )
+    write_png_file(path, image)
 
 
 def lossless_webp(pixels):
@@ -72,9 +76,18 @@ def write_png16(path, values):
             f"values from {values.min()} to {values.max()} do not fit a 16-bit PNG, 0 to 65535; "
             "write them as .npz"
         )
-    values = values.astype(np.uint16)
-    with replacing(path) as temporary:
-        _write(temporary, values, extension=".png", compress_level=PNG_LEVEL)
+    write_png_file(path, values.astype(np.uint16))
+
+
+def write_png48(path, values):
+    """Write a picture (height, width, 3) of whole numbers 0 to 65535 as a 48-bit PNG."""
+    values = np.asarray(values)
+    if values.dtype != np.uint16 or values.ndim != 3 or values.shape[2] != 3:
+        raise ParameterError(
+            f"the picture for {path} is {values.dtype} of shape {values.shape}; a 48-bit PNG must "
+            "be uint16 of three channels"
+        )
+    write_png_file(path, values)
 
 
 def _write(path, image, **options):

@@ -80,6 +80,7 @@ _NEAREST = np.float32(0.05)  # m; what falls nearer to the camera is not drawn
 _REACH = np.float32(MARGIN)
 _ROOM = 1024  # lines that a worker lists before it draws
 _MOST_LINES = 400  # of one splash
+LISTED = 4096  # splashes of a worker, at first: with too little room all are drawn again
 
 
 class WaterDepth(NamedTuple):
@@ -167,7 +168,7 @@ def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, de
     """
     view = shutter_view(camera, time, exposure)
     water = WaterDepth(np.asarray(water_depth, np.float32), float(film))
-    alpha, room = np.empty_like(depth), 256
+    alpha, room = np.empty_like(depth), LISTED
     while True:
         found, position, ids = _run_pass(
             field, surfaces, camera, view, water, depth, alpha, more, room

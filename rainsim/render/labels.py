@@ -7,12 +7,14 @@ AOVs of a frame.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
 
 from rainsim.reflection import water_record
+from rainsim.scene.types import Camera
 from rainsim.scene.view import image_point, pixel_rays, rays
 from rainsim.shading.wetting import FLAT
 from rainsim.terrain.table import OBJECT, WATER, class_table
@@ -30,8 +32,15 @@ MOST_ID = 2**16 - 1
 
 def range_of(depth, camera):
     """Return the distance from the camera's centre [m] of a picture's z-depth [m], float32."""
-    stretch = np.linalg.norm(pixel_rays(camera), axis=-1)
-    return (depth * stretch).astype(np.float32)
+    lens = camera.fx, camera.fy, camera.cx, camera.cy
+    return (depth * _stretch(camera.width, camera.height, *lens)).astype(np.float32)
+
+
+@functools.lru_cache(4)  # one view after another has the same lens
+def _stretch(width, height, fx, fy, cx, cy):
+    """Return the length of each pixel's ray, (height, width), float64."""
+    camera = Camera(width, height, fx, fy, cx, cy, np.eye(4))
+    return np.linalg.norm(pixel_rays(camera), axis=-1)
 
 
 def flow_of(depth, camera, after, depth_after, number=None, moves=None):
@@ -124,39 +133,37 @@ def class_names():
     return {**names, str(OTHER_CLASS): "other"}
 
 
-def class_ids(wet, normal, terrain, water):
+def class_ids(view, depth, clearance, upright, terrain, water):
     """Return the class of the ground or the water that each pixel shows.
 
     Parameters
     ----------
-    wet : WetPicture
-    normal : ndarray of shape (height, width, 3), float
-        Of the surface, in the ground frame.
+    view : View
+    depth, clearance : ndarray of shape (height, width), float32 [m]
+        Along the view axis, and over the height map.
+    upright : ndarray of shape (height, width), float
+        The surface's normal upwards in the ground frame.
     terrain : Terrain
-    water : ndarray of shape (height, width), bool
-        Which pixels show water.
+    water : ndarray of shape (n,), int
+        Pixels that show water, row by row.
 
     Returns
     -------
     ndarray of shape (height, width), uint16
         Codes of rainsim/config/classes.toml, OTHER_CLASS for all that is neither.
     """
-    x, y, _ = np.moveaxis(_places(wet), -1, 0)
-    level = (np.abs(wet.clearance) < GROUND_REACH) & (normal[..., 2] > FLAT)
-    row, column, inside = terrain.grid.cells(np.where(level, x, 0), np.where(level, y, 0))
-    code = terrain.ground_class[row, column].astype(np.uint16)
-    ground = level & inside & (code != OBJECT)
-    ids = np.where(ground, code, np.uint16(OTHER_CLASS))
-    ids[water] = WATER
+    ids = np.full(depth.shape, OTHER_CLASS, np.uint16)
+    flat = ids.ravel()
+    level = np.flatnonzero((np.abs(clearance) < GROUND_REACH) & (upright > FLAT))
+    v, u = np.divmod(level, depth.shape[1])
+    ahead = rays(view, u + 0.5, v + 0.5) @ view.ground_from_camera[:2].T
+    x, y = (view.eye[:2] + depth.ravel()[level, None] * ahead).T
+    row, column, inside = terrain.grid.cells(x, y)
+    code = terrain.ground_class[row, column]
+    ground = inside & (code != OBJECT)
+    flat[level[ground]] = code[ground]
+    flat[water] = WATER
     return ids
-
-
-def _places(wet):
-    """Return where each pixel's surface is [m], ground frame; nonsense for sky."""
-    view, (height, width) = wet.view, wet.depth.shape
-    v, u = np.mgrid[:height, :width] + 0.5
-    depth = np.where(np.isfinite(wet.depth), wet.depth, 0)
-    return view.eye + depth[..., None] * (rays(view, u, v) @ view.ground_from_camera.T)
 
 
 def shown_water(record):
@@ -184,17 +191,22 @@ def puddle_map(terrain, depth):
         area_m2, volume_m3 and greatest depth_m by id.
     """
     label, count = ndimage.label(depth >= WET, np.ones((3, 3), int))
-    every = np.arange(1, count + 1)
     number = np.zeros(count + 1, np.uint16)
     if count == 0:
         return number[label], {}
-    cells = np.bincount(label.ravel(), minlength=count + 1)[1:]
-    volume = ndimage.sum_labels(depth, label, every) * terrain.grid.cell_area
-    deepest = ndimage.maximum(depth, label, every)
-    lowest = ndimage.minimum_position(terrain.bed, label, every)
+    wet = np.flatnonzero(label)
+    label, deep = label.ravel(), depth.ravel()[wet]
+    mine = label[wet] - 1
+    cells = np.bincount(mine, minlength=count)
+    volume = np.bincount(mine, deep, count) * terrain.grid.cell_area
+    deepest = np.full(count, -np.inf)
+    np.maximum.at(deepest, mine, deep)
+    order = np.lexsort((wet, terrain.bed.ravel()[wet], mine))
+    lowest = wet[order[np.searchsorted(mine[order], np.arange(count))]]
+    label = label.reshape(depth.shape)
     used = set()
     for k in np.argsort(-cells, kind="stable"):  # the largest first: small ones give way
-        wanted = int(np.ravel_multi_index(lowest[k], depth.shape)) % MOST_ID + 1
+        wanted = int(lowest[k]) % MOST_ID + 1
         while wanted in used:
             wanted = wanted % MOST_ID + 1
         used.add(wanted)
@@ -245,14 +257,14 @@ def boxes_of(ids):
     list of dict
         id, box (left, top, right, bottom) [px], right and bottom not included, and pixels.
     """
-    numbers, place = np.unique(ids, return_inverse=True)
-    place = place.reshape(ids.shape)
+    counts = np.bincount(ids.ravel())
+    numbers = np.flatnonzero(counts)
+    numbers = numbers[numbers > 0]
+    place = np.zeros(len(counts), np.int32)
+    place[numbers] = np.arange(1, len(numbers) + 1)
+    found = ndimage.find_objects(place[ids]) if len(numbers) else ()
     boxes = []
-    counts = np.bincount(place.ravel(), minlength=len(numbers))
-    for k, part in enumerate(ndimage.find_objects(place + 1)):
-        if numbers[k] == 0:
-            continue
-        rows, columns = part
+    for number, (rows, columns) in zip(numbers, found, strict=True):
         box = [columns.start, rows.start, columns.stop, rows.stop]
-        boxes.append({"id": int(numbers[k]), "box": box, "pixels": int(counts[k])})
+        boxes.append({"id": int(number), "box": box, "pixels": int(counts[number])})
     return boxes

@@ -69,7 +69,7 @@ def facts_of(names, frame, weather):
     if "class_id" in names:
         facts["classes"] = labels.class_names()
     if "puddle_id" in names:
-        _, puddles = labels.puddle_map(frame["ground"].terrain, frame["water"])
+        _, puddles = frame["puddles"]
         boxes = labels.boxes_of(frame["puddle_id"])
         facts["puddles"] = [{**box, **puddles.get(box["id"], {})} for box in boxes]
     if "actor_id" in names and frame["actors"] is not None:
@@ -208,10 +208,9 @@ def _flow(depth, ground_camera, next_ground_camera, interval, actors, scene):
 
 @layer("class_id")
 def _class_id(layers, depth, clearance, view, seen, actors, ground):
-    water = np.zeros(depth.shape, bool)
-    water.ravel()[seen.pixel[labels.shown_water(seen.record)]] = True
-    wet = WetPicture(None, depth, clearance, view, None)
-    ids = labels.class_ids(wet, _normal(layers, view), ground.terrain, water)
+    upright = (layers.normal @ view.ground_from_camera[2]).astype(np.float32)
+    water = seen.pixel[labels.shown_water(seen.record)]
+    ids = labels.class_ids(view, depth, clearance, upright, ground.terrain, water)
     if actors is not None:
         ids[(actors.number > 0) & (ids != WATER)] = labels.OTHER_CLASS
     return ids
@@ -222,10 +221,14 @@ def _actor_id(depth, actors):
     return np.zeros(depth.shape, np.uint16) if actors is None else actors.number
 
 
+@layer("puddles", name="puddles of the map")
+def _puddles(ground, water):
+    return labels.puddle_map(ground.terrain, water)
+
+
 @layer("puddle_id")
-def _puddle_id(seen, depth, ground, water):
-    ids, _ = labels.puddle_map(ground.terrain, water)
-    return labels.puddle_ids(seen.pixel, seen.record, depth.shape, ground.terrain, ids)
+def _puddle_id(seen, depth, ground, puddles):
+    return labels.puddle_ids(seen.pixel, seen.record, depth.shape, ground.terrain, puddles[0])
 
 
 @layer("beauty")

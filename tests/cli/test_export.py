@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rainsim.commands.export import as_square_as
+from rainsim.datasets import export as writing
 from rainsim.io.images import read_image
 from rainsim.render.shutter import moved
 from rainsim.scene.cameras import read_cameras, resize_to, write_transforms
@@ -85,6 +86,30 @@ def test_an_export_that_was_killed_goes_on(export, tmp_path):
     assert one == other
     cameras, _ = read_model(folder / "rain/25mm")
     assert [c.name for c in cameras] == ["view_0", "view_2"]
+
+
+def test_a_sample_that_cannot_be_written_is_the_error_and_the_others_stay(
+    export, tmp_path, monkeypatch
+):
+    words = "--rain", "25", "--layout", "colmap"
+    assert export("whole", *words).code == 0
+    whole = writing.write_file
+
+    def full(folder, file):
+        if "view_1.png" in file.name and folder.name == "cut":
+            raise OSError(28, "No space left on device", file.name)
+        return whole(folder, file)
+
+    monkeypatch.setattr(writing, "write_file", full)
+    done = export("cut", *words)
+    assert done.code == 1 and "view_1.png" in done.error
+    lines = (tmp_path / "cut/pictures.jsonl").read_text().splitlines()
+    noted = [json.loads(line) for line in lines]
+    assert "view_1" not in {n["view"] for n in noted} and "view_0" in {n["view"] for n in noted}
+    monkeypatch.setattr(writing, "write_file", whole)
+    assert export("cut", *words, "--resume").code == 0
+    one, other = (without_times(files_in(tmp_path / n)) for n in ("whole", "cut"))
+    assert one == other
 
 
 def test_folders_of_others_are_left_alone(export, tmp_path):
@@ -285,7 +310,7 @@ def test_pixels_keep_their_shape():
     assert as_square_as(oblong, oblong) == oblong
 
 
-def test_clouds_belong_to_one_layout(export, tmp_path):
+def test_clouds_belong_to_two_layouts(export, tmp_path):
     done = export("out", "--lidar", "vlp16")
     assert done.code == 2 and "--lidar is of --layout kitti_object" in done.error
     assert not (tmp_path / "out").exists()
@@ -296,3 +321,11 @@ def test_clouds_belong_to_one_layout(export, tmp_path):
     points = np.fromfile(training / "velodyne/000000.bin", "<f4").reshape(-1, 4)
     assert len(points) * 4 == (training / "labels/000000.label").stat().st_size > 4000
     assert (training / "label_2/000000.txt").read_text() == ""
+    done = export("drive", "--layout", "semantic_kitti", "--lidar", "vlp16", "--rain", "0,25",
+                  "--views", "view_0", "--drive", "--fps", "4")  # fmt: skip
+    assert done.code == 0, done.err
+    for place in ("clear", "rain/25mm"):
+        root = tmp_path / f"drive/{place}/sequences/00"
+        points = np.fromfile(root / "velodyne/000000.bin", "<f4").reshape(-1, 4)
+        assert len(points) * 4 == (root / "labels/000000.label").stat().st_size > 4000
+        assert (root / "times.txt").read_text() == "0.000000e+00\n"

@@ -9,7 +9,7 @@ from test_datasets import plan_with, sample_of
 
 from rainsim.datasets import cityscapes
 from rainsim.datasets.data_files import write_file
-from rainsim.datasets.kinds import KINDS, OTHER, TRAIN_IDS
+from rainsim.datasets.kinds import KINDS, LAST_ID, OTHER, TRAIN_IDS
 
 CAR, TENT = slice(2, 8), slice(24, 28)  # rows of the picture that show actors
 
@@ -38,7 +38,8 @@ def test_names_ids_and_instances():
     gt = f"rain/10mm/gtFine/{stem}_gtFine"
     assert set(files) == {
         f"rain/10mm/leftImg8bit/{stem}_leftImg8bit.png", f"{gt}_labelIds.png",
-        f"{gt}_labelTrainIds.png", f"{gt}_instanceIds.png", f"rain/10mm/depth/{stem}_depth.png",
+        f"{gt}_labelTrainIds.png", f"{gt}_instanceIds.png", f"{gt}_color.png",
+        f"rain/10mm/depth/{stem}_depth.png",
     }  # fmt: skip
     ids, train, instances = (files[f"{gt}_{n}.png"].content
                              for n in ("labelIds", "labelTrainIds", "instanceIds"))  # fmt: skip
@@ -65,6 +66,8 @@ def test_ids_are_those_of_cityscapes_scripts():
         same = {"vehicle": "car", "van": "car", "tram": "train", "pedestrian": "person",
                 "cyclist": "rider"}  # fmt: skip
         assert known == same.get(name, name)
+    known = [labels.id2label[k].color for k in range(LAST_ID + 1)]
+    np.testing.assert_array_equal(cityscapes.COLORS, known)
     assert all(v.hasInstances == (k >= 24) for k, v in labels.id2label.items() if k >= 0)
 
 
@@ -108,3 +111,5 @@ def test_torchvision_reads_it(tmp_path):
     np.testing.assert_array_equal(np.array(picture), sample.picture)
     np.testing.assert_array_equal(np.array(ids), cityscapes.label_ids(sample))
     assert np.array(instances).max() == 26001
+    _, colors = datasets.Cityscapes(root, "train", "fine", "color")[by_name["000001"]]
+    np.testing.assert_array_equal(np.array(colors)[CAR, 10:30], [[(0, 0, 142)] * 20] * 6)

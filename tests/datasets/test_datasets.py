@@ -31,7 +31,6 @@ from rainsim.datasets.splits import held_out
 from rainsim.datasets.user_labels import read_labels
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
-from rainsim.io.png48 import write_png48
 from rainsim.render.labels import class_names
 from rainsim.render.shutter import moved
 from rainsim.scene.colmap import read_model
@@ -139,7 +138,7 @@ def test_flow_as_kitti_has_it(tmp_path):
 def test_colour_of_16_bits_as_another_program_reads_it(tmp_path, rng):
     imagecodecs = pytest.importorskip("imagecodecs")
     values = rng.integers(0, 65536, (23, 37, 3)).astype(np.uint16)
-    write_png48(tmp_path / "a.png", values)
+    images.write_png48(tmp_path / "a.png", values)
     found = imagecodecs.png_decode((tmp_path / "a.png").read_bytes())
     assert found.dtype == np.uint16
     np.testing.assert_array_equal(found, values)
@@ -147,7 +146,7 @@ def test_colour_of_16_bits_as_another_program_reads_it(tmp_path, rng):
 
 def test_what_is_no_48_bit_picture_is_refused(tmp_path):
     with pytest.raises(ParameterError, match=r"uint8 of shape \(2, 2, 3\)"):
-        write_png48(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))
+        images.write_png48(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))
 
 
 def test_what_rain_spoils_is_left_out():
@@ -210,6 +209,21 @@ def write_set(folder, plan, **changes):
     card = {"rainsim_data_set": 1, "layout": "nerfstudio", "complete": True, "rains": rains}
     (folder / "card.json").write_text(json.dumps({**card, **changes}))
     return samples
+
+
+def test_partners_are_data_sets_of_nerfstudio_too():
+    plan = replace(plan_with(), partners=("clear_air", "dry"))
+    files = {f.name: f.content for f in nerfstudio.plan_files(plan, None)}
+    assert "clear/transforms_dry.json" not in files
+    rain, air, dry = (files[f"rain/10mm/transforms{n}.json"] for n in ("", "_clear_air", "_dry"))
+    for name, data in (("clear_air", air), ("dry", dry)):
+        assert data["train_filenames"] == [
+            p.replace("images/", f"rainsim/{name}/") for p in rain["train_filenames"]
+        ]
+        for frame, own in zip(data["frames"], rain["frames"], strict=True):
+            assert frame["file_path"] == own["file_path"].replace("images/", f"rainsim/{name}/")
+            assert frame["transform_matrix"] == own["transform_matrix"]
+            assert ("mask_path" in frame) == (name != "dry")
 
 
 def test_our_reader_gives_back_what_was_written(tmp_path):

@@ -10,7 +10,7 @@ from test_datasets import plan_with, sample_of
 
 from rainsim import pipeline
 from rainsim.config.settings import Config
-from rainsim.datasets import beside, kitti, kitti_object
+from rainsim.datasets import beside, kitti, kitti_object, semantic_kitti
 from rainsim.datasets.data_files import write_file
 from rainsim.datasets.sample import Plan, View
 from rainsim.datasets.shots import Shots
@@ -119,6 +119,38 @@ def test_tracks_and_lists(exported):
     assert (folder / "clear/ImageSets/val.txt").read_text() == "000001\n"
     facts = json.loads((folder / "rain/50mm/rainsim/v0.json").read_text())
     assert facts["actors"][0]["hidden"] < 0.1
+
+
+def test_semantic_kitti_as_its_tools_read_it(exported, tmp_path):
+    """By the rules of its generate_sequential.py: Tr and poses lay all clouds in one frame."""
+    _, samples = exported
+    plan = replace(plan_with(), interval=0.5)
+    for sample in (samples[50.0, 0], samples[50.0, 1]):
+        for file in semantic_kitti.sample_files(sample, plan):
+            write_file(tmp_path, file)
+    for file in semantic_kitti.plan_files(plan, tmp_path):
+        write_file(tmp_path, file)
+    root = tmp_path / "rain/50mm/sequences/00"
+    scan = np.fromfile(root / "velodyne/000001.bin", np.float32).reshape(-1, 4)
+    label = np.fromfile(root / "labels/000001.label", np.uint32)
+    assert len(scan) == len(label) > 100 and 252 in label & 0xFFFF
+    assert len(list((root / "image_2").iterdir())) == 2
+    root = tmp_path / "rain/10mm/sequences/00"
+
+    def matrix(text):
+        return np.vstack([np.array(text.split(), float).reshape(3, 4), (0, 0, 0, 1)])
+
+    rows = dict(line.split(":") for line in (root / "calib.txt").read_text().splitlines())
+    assert list(rows) == ["P0", "P1", "P2", "P3", "Tr"]
+    turn = matrix(rows["Tr"])
+    found = []
+    lines = (root / "poses.txt").read_text().splitlines()
+    for view, line in zip(plan.views, lines, strict=True):
+        point = np.linalg.inv(turn) @ view.camera.camera_from_world @ (1.0, 2.0, 3.0, 1.0)
+        found.append(np.linalg.inv(turn) @ matrix(line) @ turn @ point)
+    np.testing.assert_allclose(found, np.tile(found[0], (len(found), 1)), atol=1e-6)
+    assert not np.allclose(plan.views[0].camera.position, plan.views[1].camera.position)
+    np.testing.assert_allclose(np.loadtxt(root / "times.txt"), 0.5 * np.arange(len(plan.views)))
 
 
 def test_occlusion_by_the_share_that_is_hidden():

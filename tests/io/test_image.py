@@ -1,14 +1,17 @@
 """Pictures: exact round trips, whole files or none, and HDR files in every coding."""
 
 import itertools
+import os
 import struct
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from rainsim.errors import InputError, ParameterError
-from rainsim.io import images
+from rainsim.io import files, images, png
 
 
 def test_png_comes_back_exactly(tmp_path, rng):
@@ -18,9 +21,22 @@ def test_png_comes_back_exactly(tmp_path, rng):
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]  # no temporary file stays
 
 
+@pytest.mark.parametrize("kind", ["u1", "u2"])
+@pytest.mark.parametrize("shape", [(5, 7), (1, 1), (3, 9, 3), (1, 1, 3), (4, 2, 4)])
+def test_another_program_reads_each_kind_of_png(rng, kind, shape):
+    imagecodecs = pytest.importorskip("imagecodecs")
+    values = rng.integers(0, np.iinfo(kind).max, shape).astype(kind)
+    for given in (values, values[:, ::-1]):  # not in one piece
+        found = imagecodecs.png_decode(png.png_bytes(given))
+        assert found.dtype == kind
+        np.testing.assert_array_equal(found, given)
+
+
 def test_png_refuses_other_types(tmp_path):
     with pytest.raises(ParameterError, match="must be uint8"):
         images.write_png(tmp_path / "a.png", np.zeros((4, 4, 3)))
+    with pytest.raises(ParameterError, match=r"shape \(4, 4, 5\)"):
+        images.write_png(tmp_path / "a.png", np.zeros((4, 4, 5), np.uint8))
     assert not list(tmp_path.iterdir())
 
 
@@ -44,11 +60,23 @@ def test_a_failed_write_keeps_what_was_there(tmp_path, monkeypatch):
     def fail(*args, **kwargs):
         raise OSError("disk full")
 
-    monkeypatch.setattr(images.iio, "imwrite", fail)
+    monkeypatch.setattr(png, "png_bytes", fail)
     with pytest.raises(OSError, match="disk full"):
         images.write_png(tmp_path / "a.png", np.zeros((4, 4, 3), np.uint8))
     assert (tmp_path / "a.png").read_bytes() == b"before"
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_threads_that_ask_for_the_permissions_of_new_files_agree():
+    before, often = os.umask(0o027), sys.getswitchinterval()
+    sys.setswitchinterval(1e-7)
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            masks = set(pool.map(lambda _: files._umask(), range(20_000)))
+        assert masks == {0o027} and os.umask(0o027) == 0o027
+    finally:
+        sys.setswitchinterval(often)
+        os.umask(before)
 
 
 def test_damaged_pictures_are_one_clear_error(tmp_path):
