@@ -6,7 +6,9 @@ its own; at a time they are looked up for the cells of the map that the actor is
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +16,7 @@ from scipy import ndimage
 
 from rainsim.actors.actor import SOLID
 from rainsim.actors.motion import Motion
+from rainsim.jit import cpu_kernel, prange
 from rainsim.scene.splat_sets import own_turns
 
 LEAST_SPACING = 0.03  # m, of an actor's own cells: what is finer shows gaps between its splats
@@ -94,7 +97,20 @@ class Footprint:
         return pose.rotation @ np.linalg.inv(self.upright) * scale, pose.position
 
     def shadow(self, grid, time):
-        """Return the `Shadow` on a `Grid` at a time [s]; None beside the map or while not there."""
+        """Return the `Shadow` on a `Grid` at a time [s]; None beside the map or while not there.
+
+        That of the last time is kept: a frame asks for it twice.
+        """
+        if (grid, time) not in self._found:
+            self._found.clear()
+            self._found[grid, time] = self._shadow(grid, time)
+        return self._found[grid, time]
+
+    @cached_property
+    def _found(self):
+        return {}
+
+    def _shadow(self, grid, time):
         pose = self.motion.at(time)
         if pose is None:
             return None
@@ -113,17 +129,46 @@ class Footprint:
             return None
         x = x0 + (np.arange(first[0], last[0]) + 0.5) * grid.spacing - shift[0]
         y = y0 + (np.arange(first[1], last[1]) + 0.5) * grid.spacing - shift[1]
-        ahead = np.stack(np.meshgrid(x, y), axis=-1) - middle * rotation[:2, 2]
-        own = ahead @ np.linalg.inv(rotation[:2, :2]).T
-        column, row = np.moveaxis(np.floor((own - self.low) / self.spacing).astype(int), -1, 0)
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-        heights = []
-        for field in (self.top, self.underside):
-            z = own @ rotation[2, :2] + rotation[2, 2] * field[row, column] + shift[2]
-            heights.append(np.where(inside, z, np.nan).astype(np.float32))
+        heights = [np.empty((len(y), len(x)), np.float32) for _ in range(2)]
+        _look_up(
+            x - middle * rotation[0, 2], y - middle * rotation[1, 2],
+            np.linalg.inv(rotation[:2, :2]), rotation[2], shift[2], self.low, self.spacing,
+            self.top, self.underside, *heights,
+        )  # fmt: skip
         part = slice(first[1], last[1]), slice(first[0], last[0])
         return Shadow(part, *heights)
+
+
+@cpu_kernel
+def _look_up(x, y, own, up, shift, low, spacing, top, underside, top_out, underside_out):
+    """Write the heights of an actor over the cells of a map, NaN beside it.
+
+    Parameters
+    ----------
+    x, y : ndarray of shape (columns,) and (rows,), float64 [m]
+        Middles of the cells, from the middle of the actor's heights.
+    own : ndarray of shape (2, 2), float64
+        Takes them to the upright frame.
+    up : ndarray of shape (3,), float64
+        Height over the ground for each metre along the axes of the upright frame.
+    shift : float [m]
+        Height of that frame's origin.
+    low, spacing, top, underside
+        Of a `Footprint`.
+    top_out, underside_out : ndarray of shape (rows, columns), float32 [m]
+    """
+    rows, columns = top.shape
+    for j in prange(len(y)):
+        for i in range(len(x)):
+            u = own[0, 0] * x[i] + own[0, 1] * y[j]
+            v = own[1, 0] * x[i] + own[1, 1] * y[j]
+            column, row = math.floor((u - low[0]) / spacing), math.floor((v - low[1]) / spacing)
+            high = deep = np.nan
+            if row >= 0 and row < rows and column >= 0 and column < columns:
+                slope = u * up[0] + v * up[1]
+                high = slope + up[2] * top[row, column] + shift
+                deep = slope + up[2] * underside[row, column] + shift
+            top_out[j, i], underside_out[j, i] = high, deep
 
 
 def footprint_of(actor, frame, spacing):

@@ -15,6 +15,7 @@ from rainsim.rain.wind import wind_shares
 
 LEAST_KEPT = 1 << 18  # cells of a map whose exposure is kept; a smaller one takes .1 s
 SHELTER_BLUR = 0.05  # m: gusts and drops of other sizes soften the edge of a dry patch
+BESIDE = np.float32(3)  # cells, more than a step and its rounding
 SHELTER_DIAMETERS = (1e-3, 2e-3, 3.5e-3)  # m, drops whose paths are followed
 
 
@@ -48,22 +49,39 @@ def computed_exposure(terrain, wind, roughness=0.0):
     """
     total = np.zeros(terrain.grid.shape, np.float32)
     speed, direction = wind
-    ceiling = np.float32(terrain.top.max())
+    ceiling, box = np.float32(terrain.top.max()), _box_of(terrain.top > terrain.bed)
     falls = terminal_speed(np.array(SHELTER_DIAMETERS))
     for slope in speed * wind_shares(falls, roughness) / falls:  # m sideways per m of fall
         open_out = np.full(terrain.grid.shape, np.nan, np.float32)
         _mark_open_cells(
             terrain.bed, terrain.top, terrain.underside, np.float32(terrain.grid.spacing),
             np.float32(-slope * math.cos(direction)), np.float32(-slope * math.sin(direction)),
-            ceiling, open_out,
+            ceiling, box, open_out,
         )  # fmt: skip
         total += open_out
-    blur = SHELTER_BLUR / terrain.grid.spacing
-    return ndimage.gaussian_filter(total / len(SHELTER_DIAMETERS), blur).astype(np.float32)
+    return _blurred(total / len(SHELTER_DIAMETERS), SHELTER_BLUR / terrain.grid.spacing)
+
+
+def _blurred(share, deviation):
+    """Blur the edges of shelters, in place; where all around is open, the share stays as it is."""
+    left, right, low, high = _box_of(share < 1)
+    if not math.isnan(left):
+        around = 2 * (math.ceil(4 * deviation) + 1)  # the filter ends at 4 deviations
+        part = tuple(slice(max(int(a) - around, 0), int(b) + around + 1)
+                     for a, b in ((low, high), (left, right)))  # fmt: skip
+        share[part] = ndimage.gaussian_filter(share[part], deviation)
+    return share.astype(np.float32, copy=False)
+
+
+def _box_of(mask):
+    """Return the first and last column and row of a mask's cells, float32 (4,); NaN of none."""
+    found = [np.flatnonzero(mask.any(axis=axis)) for axis in (0, 1)]
+    ends = [(n[0], n[-1]) if n.size else (np.nan, np.nan) for n in found]
+    return np.array(ends, np.float32).ravel()
 
 
 @cpu_kernel
-def _mark_open_cells(bed, top, underside, spacing, dx, dy, ceiling, open_out):
+def _mark_open_cells(bed, top, underside, spacing, dx, dy, ceiling, box, open_out):
     """Mark the ground cells from which the way up along (dx, dy, 1) is free.
 
     Parameters
@@ -74,6 +92,8 @@ def _mark_open_cells(bed, top, underside, spacing, dx, dy, ceiling, open_out):
         Metres sideways per metre upwards.
     ceiling : float32 [m]
         Height above which nothing stands.
+    box : ndarray of shape (4,), float32
+        See `_box_of`: the cells with tops. A way that passes beside them is free.
     open_out : ndarray of shape (ny, nx), float32
         1 where the way is free, else 0.
     """
@@ -84,7 +104,13 @@ def _mark_open_cells(bed, top, underside, spacing, dx, dy, ceiling, open_out):
             z = bed[j, i]
             x, y = np.float32(i), np.float32(j)
             free = ONE
-            while z < ceiling:
+            rise = max(ceiling - z, ZERO) / spacing
+            far_x, far_y = x + dx * rise, y + dy * rise
+            through = (
+                max(x, far_x) > box[0] - BESIDE and min(x, far_x) < box[1] + BESIDE
+                and max(y, far_y) > box[2] - BESIDE and min(y, far_y) < box[3] + BESIDE
+            )  # fmt: skip
+            while through and z < ceiling:
                 k, m = int(x + HALF), int(y + HALF)
                 if k < 0 or m < 0 or k >= nx or m >= ny:
                     break

@@ -6,6 +6,7 @@ where it first meets a column's top or side or the ground.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -111,6 +112,34 @@ class Surfaces:
         put(self, "around_high", grow_blocks(np.maximum, reduce_blocks(np.maximum, self.top)))
         put(self, "sky", float(self.patch_high.max()) + _CLEARANCE)
 
+    def changed(self, top, underside, parts):
+        """Return these surfaces with other tops and undersides, which differ in `parts` alone.
+
+        Parameters
+        ----------
+        top, underside : ndarray of shape (ny, nx), float32 [m]
+            Not lower than the ground.
+        parts : sequence of tuple of slice
+            Rows and columns.
+        """
+        other = copy(self)
+        high, around = self.patch_high.copy(), self.around_high.copy()
+        for part in parts:
+            blocks, cells = _blocks_of(part, PATCH, 0, self.shape)
+            high[blocks] = reduce_blocks(np.maximum, top[cells], PATCH)
+            wide, cells = _blocks_of(part, BLOCK, 2, self.shape)
+            blocks, _ = _blocks_of(part, BLOCK, 1, self.shape)
+            inner = tuple(slice(b.start - w.start, b.stop - w.start)
+                          for b, w in zip(blocks, wide, strict=True))  # fmt: skip
+            # Beyond those neighbours nothing differs, and at the map's edge both agree.
+            around[blocks] = grow_blocks(np.maximum, reduce_blocks(np.maximum, top[cells]))[inner]
+        for name, value in (
+            ("top", top), ("underside", underside), ("patch_high", high), ("around_high", around),
+            ("sky", float(high.max()) + _CLEARANCE),
+        ):  # fmt: skip
+            object.__setattr__(other, name, value)
+        return other
+
     @property
     def shape(self):
         """Rows and columns of the map."""
@@ -135,6 +164,15 @@ def flat_surfaces(width, depth, spacing, origin=(0.0, 0.0), height=0.0):
     shape = (round(depth / spacing), round(width / spacing))
     level = np.full(shape, height, np.float32)
     return Surfaces(spacing, origin, level, level, level)
+
+
+def _blocks_of(part, side, margin, shape):
+    """Return rows and columns of the blocks of a part with a margin of blocks, and their cells."""
+    blocks = tuple(
+        slice(max(s.start // side - margin, 0), min(-(-s.stop // side) + margin, -(-n // side)))
+        for s, n in zip(part, shape, strict=True)
+    )
+    return blocks, tuple(slice(b.start * side, b.stop * side) for b in blocks)
 
 
 def reduce_blocks(reduce, values, side=BLOCK):

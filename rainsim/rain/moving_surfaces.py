@@ -44,15 +44,9 @@ class MovingSurfaces:
 
     def __init__(self, terrain, wind=(0.0, 0.0), roughness=0.0):
         self._terrain, self._wind, self._roughness = terrain, wind, roughness
-        self.still = self._surfaces(terrain.top, terrain.underside)
+        grid, heights = terrain.grid, (terrain.bed, terrain.top, terrain.underside)
+        self.still = Surfaces(grid.spacing, grid.origin, *heights)
         self._moment = None
-
-    def _surfaces(self, top, underside):
-        terrain = self._terrain
-        return Surfaces(
-            spacing=terrain.grid.spacing, origin=terrain.grid.origin, ground=terrain.bed, top=top,
-            underside=underside,
-        )  # fmt: skip
 
     def at(self, time):
         """Return the `Surfaces` at a time [s]."""
@@ -86,13 +80,15 @@ class MovingSurfaces:
 
     def _found(self, time):
         terrain = self._terrain
-        top, underside, shelters = terrain.top.copy(), terrain.underside.copy(), []
-        for shadow in shadows_on(terrain.grid, terrain.footprints, time):
-            if put_on(terrain.bed, top, underside, shadow).any():
-                shelters.append(self._shelter(shadow))
-        if not shelters:
+        shadows = shadows_on(terrain.grid, terrain.footprints, time)
+        if not shadows:
             return self.still, []
-        return self._surfaces(top, underside), shelters
+        top, underside = self.still.top.copy(), self.still.underside.copy()
+        there = [s for s in shadows if put_on(terrain.bed, top, underside, s).any()]
+        if not there:
+            return self.still, []
+        surfaces = self.still.changed(top, underside, [shadow.part for shadow in there])
+        return surfaces, [self._shelter(shadow) for shadow in there]
 
     def _shelter(self, shadow):
         """Return the part of the map that an actor shelters, and the share that it lets through.

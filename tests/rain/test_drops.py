@@ -16,8 +16,11 @@ from rainsim.drops import (
 )
 from rainsim.errors import ParameterError
 from rainsim.numerics.random import subkey, uniform, uniform_triple
+from rainsim.rain.exposure import computed_exposure
 from rainsim.rain.heightfield import BLOCK
+from rainsim.rain.moving_surfaces import Heights
 from rainsim.rain.size_distribution import SIZE_LAWS, SMALLEST, SizeLaw, terminal_speed
+from rainsim.terrain.types import Grid
 
 GUNN_KINZER = {1.0: 4.03, 1.5: 5.40, 2.0: 6.49, 3.0: 8.06, 4.0: 8.83, 5.0: 9.09}  # mm: m/s
 
@@ -377,3 +380,32 @@ def test_hits_within_a_rectangle_are_those_of_all_that_lie_in_it():
     some = impacts(field, surfaces, 1.0, 1.1, within=np.stack([low, high]))
     inside = ((every.position[:, :2] >= low) & (every.position[:, :2] < high)).all(axis=1)
     assert np.array_equal(some.id, every.id[inside]) and 0 < inside.sum() < len(every)
+
+
+@pytest.mark.parametrize("place", [(0, 0), (21, 30), (47, 83)])
+def test_surfaces_changed_in_a_part_are_those_made_anew(rng, place):
+    ground = rng.normal(0, 0.1, (53, 90)).astype(np.float32)
+    still = Surfaces(0.05, (0.0, 0.0), ground, ground + 0.1, ground)
+    part = tuple(slice(n, n + 7) for n in place)
+    top = still.top.copy()
+    top[part] += 1.5
+    found = still.changed(top, still.underside, [part]).height_fields()
+    wanted = Surfaces(0.05, (0.0, 0.0), ground, top, ground).height_fields()
+    for name, value in wanted._asdict().items():
+        np.testing.assert_array_equal(getattr(found, name), value, name)
+    assert found.patch_high.max() > still.patch_high.max() + 1
+
+
+@pytest.mark.parametrize("wind", [(0.0, 0.0), (7.0, 0.6), (7.0, -2.2)])
+def test_ways_that_pass_beside_all_tops_are_followed_no_less(wind):
+    """Posts in two corners make the rest of the map no longer lie beside all tops."""
+    bed, top = np.zeros((2, 120, 160), np.float32)
+    top[50:70, 60:80] = 1.2
+    grid = Grid(bed.shape, (0.0, 0.0), 0.05)
+    alone = computed_exposure(Heights(grid, bed, top, bed), wind)
+    posts = top.copy()
+    posts[0, 0] = posts[-1, -1] = 1.2
+    beside = computed_exposure(Heights(grid, bed, posts, bed), wind)
+    where = np.s_[30:90, 40:120]
+    np.testing.assert_array_equal(alone[where], beside[where])
+    assert alone.min() == 0 and 0.02 < (alone < 1).mean() < 0.5
