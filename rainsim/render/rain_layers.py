@@ -14,9 +14,9 @@ from scipy import ndimage
 
 from rainsim.particles.line_raster import NEAR
 from rainsim.particles.spray import CUT, lay_clouds, spray_seen
-from rainsim.particles.streaks import draw_streaks, streak_reach
+from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.dripping import drips_seen
-from rainsim.render.rain_pass import draw_spray
+from rainsim.render.rain_pass import draw_spray, drawn_reach
 from rainsim.scene.view import camera_points, corner_rays, image_point
 
 NEAR_DROPS = 2.0  # m: drops nearer than this are an element of their own
@@ -35,7 +35,7 @@ def near_alpha(depth, ground_camera, ground_camera_end, time, render, field, sur
     """Return the share of light that drops of the rain nearer than `NEAR_DROPS` replace."""
     alpha = np.zeros(depth.shape, np.float32)
     if field is not None and render.streaks != "paper":
-        reach = streak_reach(field, ground_camera, render.exposure, render.streak_far)
+        reach = drawn_reach(field, ground_camera, render)
         draw_streaks(
             field, surfaces, ground_camera, time, render.exposure, depth,
             np.minimum(reach, NEAR_DROPS), alpha, ground_camera_end, render.aperture, render.focus,
@@ -101,7 +101,7 @@ def rain_depth(
     if field is not None:
         far = np.full(len(field.velocity), render.streak_far)
         if render.streaks != "paper":
-            far = streak_reach(field, ground_camera, render.exposure, render.streak_far)
+            far = drawn_reach(field, ground_camera, render)
         found = _drops_in_view(field, ground_camera, time, render.streak_far)
         size = np.searchsorted(field.spectrum.edges, found.diameter, side="right") - 1
         away = project(found.position, ground_camera)[:, 2]
