@@ -15,7 +15,7 @@ import numpy as np
 
 from rainsim import __version__
 from rainsim.errors import ParameterError
-from rainsim.io.exr import half, write_parts
+from rainsim.io.exr import half, half_or_float, write_parts
 from rainsim.numerics.color_spaces import SPACES, from_rec709
 from rainsim.render.aov import spread_field
 from rainsim.shading.composite import splash_light
@@ -29,11 +29,13 @@ LIGHT = {  # part: layer
     "highlight": "highlight", "glare": "glare",
 }  # fmt: skip
 SHARES = ("coverage", "fresnel", "transmission", "wetness", "matte")
+DEPTHS = {"rain": "rain_depth", "near": "near_depth", "streaks": "streak_depth",
+          "spray": "spray_depth"}  # fmt: skip
 IDS = {"actor": "actor_id", "puddle": "puddle_id", "class": "class_id", "splash": "splash_id"}
 LAYERS = (
-    "beauty", "wet", "rain_alpha", "near_alpha", "spray_alpha", "splash_alpha", "rain_depth",
-    "depth", "position", "normal", "flow", "flow_mask", "water_depth", *LIGHT.values(), *SHARES,
-    *IDS.values(),
+    "beauty", "wet", "rain_alpha", "near_alpha", "spray_alpha", "splash_alpha",
+    *DEPTHS.values(), "depth", "position", "normal", "flow", "flow_mask", "water_depth",
+    *LIGHT.values(), *SHARES, *IDS.values(),
 )  # fmt: skip
 PARTS = (  # in their order in the file; viewers show the first
     "beauty", "rain", "near", "streaks", "spray", "splashes", "air", "depth", "position", "normal",
@@ -140,7 +142,8 @@ def parts_of(report, colorspace="rec709"):
     right, down = np.moveaxis(layers["flow"], -1, 0)
     ids = {name: layers[layer].astype(np.float32) for name, layer in IDS.items()}
     data = {
-        "rain": {"Z": layers["rain_depth"]},
+        "splashes": {"Z": np.where(layers["splash_alpha"] > 0, layers["depth"], np.inf)},
+        **{part: {"Z": layers[layer]} for part, layer in DEPTHS.items()},
         "depth": {"Z": layers["depth"]},
         "position": _channels("XYZ", layers["position"]),
         "normal": _channels("XYZ", half(layers["normal"])),
@@ -158,7 +161,7 @@ def light_parts_of(report, colorspace):
     matrix = from_rec709(SPACES[colorspace]) * report.light["brightness"]
 
     def light(values):
-        return _channels("RGB", half(np.asarray(values, np.float64) @ matrix.T))
+        return _channels("RGB", half_or_float(np.asarray(values, np.float64) @ matrix.T))
 
     opaque = np.ones(layers["beauty"].shape[:2], np.float16)
     # The layer has its brightness already.

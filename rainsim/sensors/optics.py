@@ -13,6 +13,7 @@ import numpy as np
 from rainsim.actors.motion import moves_between
 from rainsim.config.rules import require_whole
 from rainsim.errors import ParameterError
+from rainsim.io.exr import half_or_float
 from rainsim.numerics import srgb
 from rainsim.render.aov import AOVS, PICTURE, SHARE
 from rainsim.render.exr_frame import light_parts_of
@@ -253,7 +254,7 @@ class Taking:
             facts["weather"] = {**facts["weather"], "exposure_s": exposure}
         parts = None
         if self._exr is not None:
-            parts = {part: {name: values.astype(np.float16) for name, values in channels.items()}
+            parts = {part: {name: half_or_float(values) for name, values in channels.items()}
                      for part, channels in total.of("parts").items()}  # fmt: skip
         return picture, replace(
             report, time=state.time, milliseconds=stages, facts=facts, parts=parts,
@@ -344,7 +345,7 @@ def warped_frame(warp, picture, report):
     """Return picture and report as a lens shows them."""
     aovs = warped_layers(warp, report.aovs)
     parts = report.parts and {
-        part: {name: warp.light(values[..., None].astype(np.float32))[..., 0].astype(np.float16)
+        part: {name: half_or_float(warp.light(values[..., None].astype(np.float32))[..., 0])
                for name, values in channels.items()}
         for part, channels in report.parts.items()
     }  # fmt: skip
