@@ -428,7 +428,8 @@ def _write_frames(
         else:
             reports = _draw_alone(forecast, sequence, run, resume)
     total = counted(len(config.indices), "frame")
-    status.say(f"{total} in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
+    also = " and one OpenEXR file for each in exr" if "exr" in content else ""
+    status.say(f"{total} in {output_folder.relative(out)}/frames{also} ({status.seconds:.1f} s)")
     result = {
         "out": str(out),
         "frames": [FRAME.format(report.index) for report in reports],

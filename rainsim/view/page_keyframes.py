@@ -284,7 +284,9 @@ class KeyframeTools:
     def _go_along(self, client, keyframes, config, before):
         begin, end = time.monotonic(), times_of(keyframes)[-1]
         changes = dict.fromkeys(name for _, own in config.keyframes for name, _ in own)
+        frames = max(before.frames, config.frames)
         try:
+            self.painter.set_config(lambda c: c.replace(frames=frames))
             at, due = 0.0, 0.0
             while self._playing and client.handle.client_id in self.page.clients:
                 view = view_at(keyframes, at)
@@ -303,5 +305,5 @@ class KeyframeTools:
                 at = min(time.monotonic() - begin, end)
         finally:
             self._playing, self.play.label = False, "play along the path"
-            values = {name: before.value(name) for name in changes}
+            values = {name: before.value(name) for name in ("frames", *changes)}
             self.painter.set_config(lambda c: c.replace(**values))
