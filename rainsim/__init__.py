@@ -30,6 +30,9 @@ _MODULES = {
         "extract_terrain": "rainsim.pipeline",
         "simulate": "rainsim.simulation",
         "Renderer": "rainsim.render.renderer",
+        "Optics": "rainsim.sensors.optics",
+        "Lens": "rainsim.sensors.lens",
+        "Pane": "rainsim.sensors.glass",
         "FrameReport": "rainsim.render.report",
     },
     "Ground and water": {

@@ -32,6 +32,9 @@ from rainsim.scene.types import Camera as Camera
 from rainsim.scene.types import GroundFrame as GroundFrame
 from rainsim.scene.types import Scene as Scene
 from rainsim.scene.types import Splats as Splats
+from rainsim.sensors.glass import Pane as Pane
+from rainsim.sensors.lens import Lens as Lens
+from rainsim.sensors.optics import Optics as Optics
 from rainsim.simulation import simulate as simulate
 from rainsim.surface.offered_views import offered_cameras as offered_cameras
 from rainsim.terrain.map_files import read_terrain as read_terrain

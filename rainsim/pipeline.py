@@ -44,7 +44,9 @@ __all__ = [
 READ_AHEAD = 4  # frames: what the camera needs so much later is read beside the drawing
 
 
-def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=(), terrain=None):
+def render_rain(
+    scene, cameras, config, backend="cpu", progress=None, layers=(), terrain=None, optics=None
+):  # fmt: skip
     """Yield the rainy frames of a scene: the whole program.
 
     Parameters
@@ -61,6 +63,9 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=(),
         Layers that the reports are to hold, see `rainsim.render.aov`.
     terrain : Terrain, optional
         Of the scene, where it has been extracted already.
+    optics : Optics, optional
+        Lens, glass and shutter of the cameras, by default a pinhole that stands still over the
+        exposure.
 
     Yields
     ------
@@ -88,7 +93,7 @@ def render_rain(scene, cameras, config, backend="cpu", progress=None, layers=(),
     config.check()
     if terrain is None:
         terrain = ground_of(scene, config, cameras, backend, progress=progress)
-    sequence = FrameSequence(scene, terrain, cameras, config, backend, layers)
+    sequence = FrameSequence(scene, terrain, cameras, config, backend, layers, optics=optics)
     yield from sequence.frames(config.indices, progress)
 
 
@@ -113,10 +118,13 @@ class FrameSequence:
         Which one a frame shows is `Config.moment`.
     exr : ExrFormat, optional
         How the layers of a frame are written as one file; the layers must be those that it needs.
+    optics : Optics, optional
+        As `render_rain` takes it.
     """
 
     def __init__(
-        self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None, exr=None
+        self, scene, terrain, cameras, config, backend="cpu", layers=(), states=None, exr=None,
+        optics=None,
     ):  # fmt: skip
         self.scene, self.cameras, self.config = scene, cameras, config
         self._ground, self._windows, self._window = None, None, None
@@ -125,7 +133,9 @@ class FrameSequence:
             self._ground, terrain = terrain, terrain.overview
         self.terrain = terrain = with_footprints(terrain, scene)
         self.backend, self.layers, self.states, self.exr = backend, layers, states, exr
-        self._renderer = SequenceRenderer(scene, terrain, cameras, config, layers, backend)
+        self._renderer = SequenceRenderer(
+            scene, terrain, cameras, config, layers, backend, optics, exr
+        )
         self._water, self._state, self._steps = None, None, 0
 
     @property
@@ -308,7 +318,7 @@ def frames_of(states, config, tell=None, skip=()):
             return
 
 
-def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
+def render(scene, terrain, states, cameras, config, names=(), backend="cpu", optics=None):
     """Yield (picture, FrameReport) for each state and its camera.
 
     Parameters
@@ -324,19 +334,27 @@ def render(scene, terrain, states, cameras, config, names=(), backend="cpu"):
         Layers that the reports are to hold, see `rainsim.render.aov`.
     backend : {"cpu", "cuda"}
         What draws. Pictures of "cuda" are overwritten by the next one.
+    optics : Optics, optional
+        As `render_rain` takes it.
 
     Yields
     ------
     picture : ndarray of shape (height, width, 3), uint8
     report : FrameReport
     """
-    yield from SequenceRenderer(scene, terrain, cameras, config, names, backend).render(states)
+    drawn = SequenceRenderer(scene, terrain, cameras, config, names, backend, optics)
+    yield from drawn.render(states)
 
 
 class SequenceRenderer:
-    """Draws states with their cameras; takes the arguments of `render` but the states."""
+    """Draws states with their cameras; takes the arguments of `render` but the states, and `exr`.
 
-    def __init__(self, scene, terrain, cameras, config, names=(), backend="cpu"):
+    That is the `ExrFormat` of files whose light `optics` spreads and bends as the picture.
+    """
+
+    def __init__(
+        self, scene, terrain, cameras, config, names=(), backend="cpu", optics=None, exr=None
+    ):  # fmt: skip
         if not cameras:
             raise ParameterError("no camera was given; a frame needs one")
         last = max(config.indices, default=0)
@@ -345,6 +363,10 @@ class SequenceRenderer:
                 f"there are {len(cameras)} cameras and the last frame has the number {last}; give "
                 "one camera for each frame from 0 on, or one for all"
             )
+        self._taking = None
+        if optics is not None:
+            self._taking = optics.taking(cameras, scene, config, names, backend, exr)
+            cameras = self._taking.drawn
         self._scene, self._terrain, self._cameras = scene, terrain, cameras
         self._config, self._names, self._backend = config, names, backend
         self._path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
@@ -373,7 +395,11 @@ class SequenceRenderer:
                 *sunken_notes(path, self._terrain, config),
                 *leaving_notes(self._renderer.conductor.wet_scene.scene, self._cameras),
             )
-        for picture, report in self._renderer.film(shots(), self._names):
+        if self._taking is None:
+            film = self._renderer.film(shots(), self._names)
+        else:
+            film = self._taking.film(self._renderer, shots())
+        for picture, report in film:
             notes, self._notes = self._notes, ()
             if cuts.popleft():
                 report = without_flow(report)

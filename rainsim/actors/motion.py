@@ -233,3 +233,15 @@ def _matrix(pose):
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = pose
     return matrix
+
+
+def moves_between(actors, begin, end):
+    """Tell whether any of some actors moves or changes its colours between two times [s]."""
+    for actor in actors:
+        here, there = actor.track.at(begin), actor.track.at(end)
+        if here is None or there is None:
+            if here is not there:
+                return True
+        elif actor.series is not None or not here.same_as(there):
+            return True
+    return False

@@ -11,7 +11,8 @@ import click
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside, uses_of
 from rainsim.commands.given import check_camera_options, paths_in, require_backend, settings
-from rainsim.commands.options import FILE, PRESETS, Numbers
+from rainsim.commands.optics import lens_of, optics_options, pane_of, readout_of
+from rainsim.commands.options import FILE, PRESETS
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.datasets import LAYOUTS, SCANNED
 from rainsim.errors import ParameterError, counted
@@ -72,35 +73,7 @@ MOST_LAYERS = 26  # AOVs of a picture's labels, and those of two that are being 
     show_default="8; of fewer than 16 views so that two are",
     help="Hold out every N-th view to test and to validate, in turn; 0 holds none out.",
 )
-@click.option(
-    "--lens",
-    metavar="MODEL:K1,K2,...|FILE",
-    show_default="pinhole",
-    help="Distort the pictures and their labels: opencv:k1,k2,p1,p2[,k3] or "
-    "fisheye:k1,k2,k3,k4, as OpenCV has them, or that of a transforms.json or COLMAP model.",
-)
-@click.option(
-    "--rolling",
-    type=float,
-    default=0.0,
-    show_default=True,
-    metavar="MS",
-    help="Readout time of a rolling shutter from the first row to the last, in ms.",
-)
-@click.option(
-    "--glass",
-    type=Numbers("seconds,speed"),
-    help="Drops on a pane before the lens: for how many seconds it has rained on it, and the "
-    "camera's speed ahead in m/s, at which drops come.",
-)
-@click.option(
-    "--wiper",
-    type=float,
-    metavar="SECONDS",
-    show_default="none",
-    help="A wiper clears the glass every so many seconds since it began to rain on it; with "
-    "--glass.",
-)
+@optics_options
 @click.option(
     "--lidar",
     type=click.Choice(("vlp16", "hdl32", "hdl64")),
@@ -168,17 +141,9 @@ def export(
         raise ParameterError(
             f"--lidar is of --layout {' or '.join(SCANNED)}; give one, or leave it out"
         )
-    lens = None
-    if given["lens"] is not None:
-        from rainsim.sensors.lens_files import lens_named
-
-        lens = lens_named(given["lens"])
-    if given["rolling"]:
-        from rainsim.sensors.rolling import check_readout
-
-        check_readout(given["rolling"] * 1e-3)
-        if backend == "cuda":
-            raise ParameterError("--rolling is drawn on the CPU only; leave out --backend cuda")
+    lens = lens_of(given)
+    if readout_of(given) and backend == "cuda":
+        raise ParameterError("--rolling is drawn on the CPU only; leave out --backend cuda")
     require_backend(backend)
     from rainsim.datasets.shots import FLOWS, LABELS
 
@@ -307,27 +272,6 @@ def _driven(status, scene, cameras, fps, given):
     return cameras
 
 
-def _pane(given, plan):
-    """Return the `Pane` before the lens, None without one."""
-    if given["glass"] is None:
-        if given["wiper"] is not None:
-            raise ParameterError("--wiper clears the glass of --glass; give that too")
-        return None
-    from rainsim.sensors.glass import Pane, pane_window
-    from rainsim.sensors.lens import lens_warp
-
-    age, speed = given["glass"]
-    if not (0 <= age <= 3600 and 0 <= speed <= 100):
-        raise ParameterError(
-            f"--glass is {age:g},{speed:g}; it must be 0 to 3600 s and 0 to 100 m/s; 10,15 is usual"
-        )
-    pane = Pane(age=age, speed=speed, wiper=given["wiper"])
-    for view in plan.views:
-        pinhole = view.camera if view.lens is None else lens_warp(view.camera, view.lens).wide
-        pane_window(pinhole, pane)  # raises
-    return pane
-
-
 def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backend, labels, given):
     """Draw and write the data set; return its card."""
     from rainsim.datasets.export import DataSetFolder, read_card
@@ -338,6 +282,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
     from rainsim.output_folder import claimed, scene_content, settings_content
     from rainsim.render.memory import memory_notes
     from rainsim.scene.cameras import cameras_to_data
+    from rainsim.sensors.optics import Optics
 
     user_labels = None
     if labels is not None:
@@ -355,7 +300,10 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         "labels": None if user_labels is None else hash_of_array(user_labels.ids),
     }  # fmt: skip
     sources = [scene.source, labels, *paths_in(given)]
-    pane = _pane(given, plan)
+    pane = pane_of(given)
+    if pane is not None:
+        for view in plan.views:
+            Optics(view.lens, pane).drawn(view.camera)  # raises
     with claimed(out, overwrite, resume, sources):
         set_threads(config.threads)
         folder = DataSetFolder(out, layout, plan, content, scene, resume, overwrite)
@@ -364,10 +312,10 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         from rainsim.pipeline import extract_terrain
 
         terrain = extract_terrain(scene, config, None, status.progress, status.notes)
-        readout = given["rolling"] * 1e-3
+        lidar = (given["lidar"] or "hdl64") if layout in SCANNED else None
         shots = Shots(
-            scene, terrain, plan.views, config, plan.sequence, backend, user_labels, readout,
-            pane, given["partners"], (given["lidar"] or "hdl64") if layout in SCANNED else None,
+            scene, terrain, plan.views, config, plan.sequence, backend, user_labels,
+            readout_of(given), pane, given["partners"], lidar,
         )  # fmt: skip
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))

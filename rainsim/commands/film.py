@@ -20,6 +20,7 @@ from rainsim.commands.given import (
     view_on,
     water_mask_of,
 )
+from rainsim.commands.optics import content_of, drawn_camera, optics_of, shot_options
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import InputError, ParameterError, counted
 
@@ -34,6 +35,7 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.light_options
 @options.camera_options
 @options.picture_options
+@shot_options
 @options.big_options
 @options.backend_option
 @options.shared_range_options
@@ -61,14 +63,14 @@ def run(
     """
     status = Status(quiet)
     config = settings(preset, given)
-    video, exr, names = _check_before_loading(given, config, video, layers, backend)
+    video, exr, names, optics = _check_before_loading(given, config, video, layers, backend)
     mask, water = mask_of(class_mask), water_mask_of(given)
     uses = uses_of(scene, config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
         loaded = loaded_scene(status, scene, given)
         cameras, config = cameras_of(loaded, config, given)
         _say_moments(status, config)
-        _require_memory(loaded, cameras, names, backend)  # the map's cells are not known yet
+        _require_memory(loaded, cameras, names, backend, optics)  # without the map's cells
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
         def film(config):
@@ -77,11 +79,12 @@ def run(
             tell = status.progress, status.notes
             ground = ground_of(loaded, config, cameras, backend, mask, *tell, water)
             path = view_on(loaded, ground, cameras, config, given, status)
-            _say_memory(status, loaded, ground, path, names, backend)
-            return path, FrameSequence(loaded, ground, path, config, backend, names, exr=exr)
+            _say_memory(status, loaded, ground, path, names, backend, optics)
+            more = {"exr": exr, "optics": optics}
+            return path, FrameSequence(loaded, ground, path, config, backend, names, **more)
 
         content = {"layers": names, "backend": backend, **masks_named(class_mask, given)}
-        content |= {"exr": exr.content} if exr else {}
+        content |= content_of(exr, optics)
         files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
         files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
         files["sources"] = [loaded.source, class_mask, *paths_in(given)]
@@ -209,6 +212,7 @@ def _write_simulation(out, source, map_file, record, config, preset, origin):
 @options.light_options
 @options.camera_options
 @options.picture_options
+@shot_options
 @options.big_options
 @options.backend_option
 @options.shared_range_options
@@ -234,7 +238,7 @@ def render(
     status = Status(quiet)
     made = read_simulation(states)
     config = settings(None, given, base=made["config"])
-    video, exr, names = _check_before_loading(given, config, video, layers, backend)
+    video, exr, names, optics = _check_before_loading(given, config, video, layers, backend)
     origin = made["origin"]
     if scene is None and origin["source"]:
         scene = str(path_named(origin["source"], states))
@@ -265,18 +269,19 @@ def render(
 
         ground = read_terrain(states)
         path = view_on(loaded, ground, cameras, config, given, status)
-        _say_memory(status, loaded, ground, path, names, backend)
+        _say_memory(status, loaded, ground, path, names, backend, optics)
 
         def state_of(index):
             return read_state(_state_file(states, index), ground)
 
-        return path, FrameSequence(loaded, ground, path, config, backend, names, state_of, exr)
+        more = {"states": state_of, "exr": exr, "optics": optics}
+        return path, FrameSequence(loaded, ground, path, config, backend, names, **more)
 
     for index in config.indices:
         _state_file(states, config.moment(index))
     preset = made["preset"]
     content = {"layers": names, "backend": backend, "states": states_content(states)}
-    content |= {"exr": exr.content} if exr else {}
+    content |= content_of(exr, optics)
     files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
     files["sources"] = [states, loaded.source, *paths_in(given)]
     uses = uses_of(loaded.source or loaded.name, config, names, backend)
@@ -334,14 +339,15 @@ def _origin(made, path):
 
 
 def _check_before_loading(given, config, video, layers, backend):
-    """Return formats of video and EXR, and the layers; raise for what could only fail later."""
+    """Return formats of video and EXR, layers and optics; raise for what could only fail later."""
     check_camera_options(given)
     _check_farm(given)
     require_backend(backend)
     video = format_of(video, given)
     from rainsim.render.aov import parse_names
 
-    return video, *exr_of(given, config.fps, parse_names(layers))
+    exr, names = exr_of(given, config.fps, parse_names(layers))
+    return video, exr, names, optics_of(given, backend, names, exr)
 
 
 def _check_farm(given):
@@ -358,22 +364,24 @@ def _check_farm(given):
         require()
 
 
-def _require_memory(scene, cameras, names, backend):
+def _require_memory(scene, cameras, names, backend, optics):
     """Raise ParameterError before minutes of work if the frames' size alone is too much."""
     from rainsim.backend import free_device_memory
     from rainsim.render.memory import require_memory
 
     free = free_device_memory(backend)
-    require_memory(scene, cameras[0], layers=len(names), device_free=free)
+    require_memory(scene, drawn_camera(cameras[0], optics), layers=len(names), device_free=free)
 
 
-def _say_memory(status, scene, terrain, cameras, names, backend):
+def _say_memory(status, scene, terrain, cameras, names, backend, optics):
     """Say what the frames take, if it is much; raise ParameterError if it is too much."""
     from rainsim.backend import free_device_memory
     from rainsim.render.memory import memory_notes
 
     free = free_device_memory(backend)
-    status.notes(memory_notes(scene, cameras[0], terrain.cells, len(names), free))
+    status.notes(
+        memory_notes(scene, drawn_camera(cameras[0], optics), terrain.cells, len(names), free)
+    )
 
 
 def _say_moments(status, config):
@@ -407,6 +415,7 @@ def _write_frames(
         facts = output_folder.settings_facts(config, preset)
         content["settings"] = output_folder.settings_content(config)
         cameras, sequence = film(replace(config, frame_range=None) if shared else config)
+        facts |= {"optics": content["optics"]} if "optics" in content else {}
         record = output_folder.Record(
             out, scene, content, **facts, cameras=output_folder.cameras_facts(cameras)
         )
@@ -419,7 +428,8 @@ def _write_frames(
         else:
             reports = _draw_alone(forecast, sequence, run, resume)
     total = counted(len(config.indices), "frame")
-    status.say(f"{total} in {output_folder.relative(out)}/frames ({status.seconds:.1f} s)")
+    also = " and one OpenEXR file for each in exr" if "exr" in content else ""
+    status.say(f"{total} in {output_folder.relative(out)}/frames{also} ({status.seconds:.1f} s)")
     result = {
         "out": str(out),
         "frames": [FRAME.format(report.index) for report in reports],

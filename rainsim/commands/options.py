@@ -92,7 +92,9 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 
 
-def _group(*options):
+def group(*options):
+    """Return several options as one decorator."""
+
     def decorate(command):
         for option in reversed(options):
             command = option(command)
@@ -110,7 +112,7 @@ scene_option = click.option(
     help="A name from `rainsim scenes`, a trained model's folder, a splat file or a scene folder.",
 )
 
-ground_options = _group(
+ground_options = group(
     click.option(
         "--cameras",
         type=FILE,
@@ -152,7 +154,7 @@ ground_options = _group(
     ),
 )
 
-mask_options = _group(
+mask_options = group(
     click.option(
         "--class-mask",
         type=FILE,
@@ -176,12 +178,12 @@ mask_options = _group(
     ),
 )
 
-eye_options = _group(
+eye_options = group(
     click.option("--eye", type=Numbers("x,y,z"), help="Where to look from, in capture units."),
     click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units."),
 )
 
-camera_options = _group(
+camera_options = group(
     click.option(
         "--camera",
         metavar="NAME",
@@ -247,7 +249,7 @@ def _of_panel(panel):
     """Return the options of the settings that belong to a panel, as one decorator."""
     own = {name: one.option.panel or PANELS[one.group]
            for name, one in SETTINGS.items() if one.option}  # fmt: skip
-    return _group(*(_of_setting(name) for name, its in own.items() if its == panel))
+    return group(*(_of_setting(name) for name, its in own.items() if its == panel))
 
 
 rain_options = _of_panel("rain")
@@ -255,13 +257,13 @@ light_options = _of_panel("light")
 big_options = _of_panel("big")
 terrain_options = _of_panel("terrain")
 ground_map_option = _of_panel("ground_map")
-shower_options = _group(  # for commands whose --rain takes several rates
+shower_options = group(  # for commands whose --rain takes several rates
     _of_setting("past", "Rain that fell before and stands in puddles, in mm; none for 0 mm/h"),
     _of_setting("wind", "Wind in m/s and the direction in which the air moves, in degrees"),
     _of_setting("seed"),
 )
 
-picture_options = _group(
+picture_options = group(
     _of_panel("picture"),
     click.option("--video", is_flag=True,
                  help="Also write video.mp4, or video.mov for ProRes (needs rainsim[video])."),
@@ -294,7 +296,7 @@ range_option = click.option(
     help="Only frames A to B, B excluded; the water is still simulated from frame 0 on.",
 )
 
-shared_range_options = _group(
+shared_range_options = group(
     click.option(
         "--frame-range",
         type=FrameRange(),
@@ -315,7 +317,7 @@ shared_range_options = _group(
     ),
 )
 
-farm_options = _group(
+farm_options = group(
     click.option(
         "--workers",
         type=click.IntRange(1, 4096),
@@ -334,7 +336,7 @@ farm_options = _group(
 
 def output_options(default):
     """Return the options of a command that fills a folder; `default` is shown for --out."""
-    return _group(
+    return group(
         click.option("--out", "-o", type=FOLDER, metavar="DIR", show_default=default,
                      help="Output folder."),
         click.option("--overwrite", is_flag=True,

@@ -180,6 +180,9 @@ class RenderConfig(Group):
         8.0, "streak_far_m", "m", "depth beyond which drops are drawn as fog",
         positive("8 is usual", low=0.1, high=1e3), touches=(),
         kept_for="`rainsim bench frame` compares rain to 3 m, 8 m and 16 m")
+    reach_exposure: float = setting(  # s; 0: that of the shutter
+        0.0, rule=not_negative(), touches=(),
+        kept_for="pictures of parts of an exposure draw the drops that one of the whole would draw")
     aperture: float = setting(
         0.0, "aperture_mm", "mm", "diameter of the lens's opening: near drops blur; 0 is sharp",
         not_negative("0 is sharp, 18 that of 50 mm f/2.8", high=100.0, most="100"),

@@ -13,11 +13,9 @@ from rainsim.datasets.sample import REPLACED, Sample, keep_mask
 from rainsim.drops import Weather
 from rainsim.pipeline import FrameSequence, simulate
 from rainsim.raster import Rasterizer, prepare
-from rainsim.render.labels import boxes_of
 from rainsim.render.shutter import motion_of
-from rainsim.scene.view import slopes
-from rainsim.sensors.glass import caps_on, through_glass, wide_camera
-from rainsim.sensors.lens import lens_warp
+from rainsim.sensors.glass import wide_camera
+from rainsim.sensors.optics import Warps, behind_glass, warped_facts, warped_layers
 from rainsim.sensors.rolling import STILL, Motion, draw_rolling
 from rainsim.shading.wetness import paving_dampness
 from rainsim.terrain.pond import without_images
@@ -50,7 +48,7 @@ class Shots:
         self._clouds = None if lidar is None else Clouds(scene, terrain, views, lidar, config)
         self._wide = None  # what drops on the glass show: rate, renderer
         self._water = None  # rate, states, the last state
-        self._warps = {}
+        self._warps = Warps()
         self.labels = (*LABELS, *((ACTORS,) if scene.actors else ()))
 
     def draw(self, rate, indices):
@@ -86,21 +84,9 @@ class Shots:
             return self.config.replace(rate=mm_per_hour(rate)).check()
         return self.config.replace(rate=0.0, past=0.0, level=None).check()
 
-    def _warp(self, view):
-        """Return the `LensWarp` of a view, None for a pinhole; kept for views of the same lens."""
-        if view.lens is None:
-            return None
-        camera = view.camera
-        size = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, view.lens
-        if size not in self._warps:
-            self._warps[size] = lens_warp(camera, view.lens)
-        return self._warps[size]
-
     def drawn_camera(self, view):
         """Return the pinhole camera that is drawn for a view, in the capture frame."""
-        warp, camera = self._warp(view), view.camera
-        if warp is not None:
-            camera = replace(warp.wide, camera_from_world=camera.camera_from_world)
+        camera = self._warps.drawn(view.camera, view.lens)
         return self.scene.ground_frame.camera_in_capture(camera)
 
     def _at_one_moment(self, config, indices, names):
@@ -139,11 +125,7 @@ class Shots:
             yield draw_rolling(renderer, path[index], state, motion, self.readout, names, **sensor)
 
     def _behind_glass(self, view, picture, clear_air, rate, config):
-        """Return pinhole pictures behind the wet glass, the share of drops, and their number.
-
-        The drops are in the pinhole pictures, so that a lens distorts them as all else. The second
-        picture, in clear air, may be None.
-        """
+        """Return what `behind_glass` does for a view."""
         frame = self.scene.ground_frame
         camera = frame.camera_in_ground(self.drawn_camera(view))
         wide = frame.camera_in_capture(wide_camera(camera))
@@ -151,19 +133,9 @@ class Shots:
             scene = without_images(self.scene, self.terrain)
             own = config.replace(frames=len(self.views) if self.sequence else 1)
             self._wide = rate, on_backend(self.backend)[0](scene, self.terrain, own, wide)
-        renderer, state = self._wide[1], self._state_of(view, rate, config)
-        names = ("depth",) if clear_air is None else ("depth", CLEAR_AIR)
-        seen, report = renderer.draw(wide, state, None, names)
-        seen, depth = np.array(seen), report.aovs["depth"]
-        field = Weather(config).field(state.time, config.at(state.time).render.exposure)
-        pane = replace(self.pane, age=self.pane.age + state.time)
-        own = 0 if self.sequence else 7919 * view.index  # a pane of its own at one moment
-        caps = caps_on(field, pane, camera, config.rain.seed + own)
-        picture, share = through_glass(picture, camera, caps, pane, seen, depth)
-        if clear_air is not None:
-            beyond = np.array(report.aovs[CLEAR_AIR])
-            clear_air, _ = through_glass(clear_air, camera, caps, pane, beyond, depth)
-        return picture, clear_air, share, len(caps.radius)
+        state = self._state_of(view, rate, config)
+        seed = 0 if self.sequence else 7919 * view.index  # a pane of its own at one moment
+        return behind_glass(self._wide[1], camera, state, self.pane, picture, clear_air, seed)
 
     def _state_of(self, view, rate, config):
         """Return the water's state at the time of a view; views come in their order."""
@@ -202,7 +174,7 @@ class Shots:
 
     def _sample(self, view, rate, picture, report, glass, partners):
         """Return the `Sample` of a frame, warped to its lens."""
-        found, warp = report.aovs, self._warp(view)
+        found, warp = report.aovs, self._warps.of(view.camera, view.lens)
         labels, cloud, facts = None, None, report.facts
         if self._clouds is not None:
             actors = facts.get("actors", ())
@@ -214,15 +186,13 @@ class Shots:
             labels = self.user_labels.picture(self.drawn_camera(view), found.get(ACTORS))
         flow, mask = found.get("flow"), found.get("flow_mask")
         if warp is not None:
+            kinds = () if flow is None else FLOWS
             picture = warp.colors(picture)
             partners = {kind: warp.colors(other) for kind, other in partners.items()}
-            if flow is not None:
-                flow, mask = warp.flow(flow, mask)
+            found = warped_layers(warp, {name: found[name] for name in (*self.labels, *kinds)})
+            flow, mask = found.get("flow"), found.get("flow_mask")
+            facts = warped_facts(facts, found)
             labels = None if labels is None else warp.nearest(labels)
-            found = {name: warp.nearest(found[name]) for name in self.labels}
-            # Of the pixel's own ray; the nearest pixel's differs by up to half a pixel's angle.
-            x, y = slopes(warp.wide, warp.u, warp.v)
-            found["range"] = (found["depth"] * np.sqrt(1 + x * x + y * y)).astype(np.float32)
             glass = None if glass is None else warp.nearest(glass)
         keep = np.ones(picture.shape[:2], bool)
         if rate > 0:
@@ -232,25 +202,6 @@ class Shots:
         return Sample(
             view, rate, np.array(picture), found["depth"], found["range"], found["class_id"],
             found["puddle_id"], found["splash_id"], keep, flow, mask, labels, glass,
-            cloud=cloud, facts=_facts(facts, found, warp is not None), actor_id=found.get(ACTORS),
+            cloud=cloud, facts=facts, actor_id=found.get(ACTORS),
             partners={kind: np.array(other) for kind, other in partners.items()},
         )  # fmt: skip
-
-
-def _facts(facts, found, warped):
-    """Return a frame's facts with the boxes of the warped picture."""
-    if not warped:
-        return facts
-    facts = dict(facts)
-    for kind, name in (("puddles", "puddle_id"), ("splashes", "splash_id")):
-        known = {entry["id"]: entry for entry in facts.get(kind, ())}
-        facts[kind] = [{**known.get(box["id"], {}), **box} for box in boxes_of(found[name])]
-    if ACTORS in found:
-        seen = {box["id"]: box for box in boxes_of(found[ACTORS])}
-        facts["actors"] = [
-            {**actor, "box2d": None, "box2d_seen": None, "pixels": 0}
-            | ({"box2d_seen": mine["box"], "pixels": mine["pixels"]} if mine else {})
-            for actor in facts.get("actors", ())
-            for mine in (seen.get(actor["number"]),)
-        ]
-    return facts

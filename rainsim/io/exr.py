@@ -10,6 +10,7 @@ from rainsim.errors import RainsimError
 from rainsim.io.files import replacing
 
 LARGEST_HALF = np.float32(65504)
+BRIGHT = 8.0  # display white
 
 
 def openexr():
@@ -34,6 +35,14 @@ def require_exr():
 def half(values):
     """Return values as float16; what is too large for it is the largest that it has."""
     return np.clip(values, -LARGEST_HALF, LARGEST_HALF).astype(np.float16)
+
+
+def half_or_float(values):
+    """Return light as float16, or as float32 where lamps are so bright that rounding would show.
+
+    A value of 8 times white is rounded by up to .002 of white in a half float.
+    """
+    return half(values) if np.max(values, initial=0) <= BRIGHT else values.astype(np.float32)
 
 
 def write_parts(path, parts, header, frame_rate):

@@ -83,7 +83,8 @@ class FrameFolder:
         count = self._config.frames
         cameras = list(self._cameras) if len(self._cameras) > 1 else [self._cameras[0]] * count
         names = [FRAME.format(i) for i in range(count)]
-        write_transforms(self.folder / "transforms.json", cameras[:count], names)
+        lens = self.record.facts.get("optics", {}).get("lens")
+        write_transforms(self.folder / "transforms.json", cameras[:count], names, lens)
         self.record.add("transforms.json")
         if self._format:
             path = self.folder / self._format.name

@@ -82,6 +82,9 @@ AOVS = {
     "near_alpha": Aov(SHARE, "", "of the light that drops nearer than 2 m replace"),
     "spray_alpha": Aov(SHARE, "", "of the light that spray of tyres replaces"),
     "rain_depth": Aov(DATA, "m", "of drops, splashes and spray, infinite without any", ("Z",)),
+    "near_depth": Aov(DATA, "m", "of drops nearer than 2 m, infinite without any", ("Z",)),
+    "streak_depth": Aov(DATA, "m", "of all other drops, infinite without any", ("Z",)),
+    "spray_depth": Aov(DATA, "m", "of spray of tyres, infinite without any", ("Z",)),
 }
 NEEDED = ("wet", "coverage", "reflection", "refraction", "fresnel", "highlight", "transmission",
           "rain_alpha", "splash_alpha")  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 
 from rainsim import __version__
 from rainsim.errors import ParameterError
-from rainsim.io.exr import half, write_parts
+from rainsim.io.exr import half, half_or_float, write_parts
 from rainsim.numerics.color_spaces import SPACES, from_rec709
 from rainsim.render.aov import spread_field
 from rainsim.shading.composite import splash_light
@@ -29,11 +29,17 @@ LIGHT = {  # part: layer
     "highlight": "highlight", "glare": "glare",
 }  # fmt: skip
 SHARES = ("coverage", "fresnel", "transmission", "wetness", "matte")
+DEPTHS = {"rain": "rain_depth", "near": "near_depth", "streaks": "streak_depth",
+          "spray": "spray_depth"}  # fmt: skip
 IDS = {"actor": "actor_id", "puddle": "puddle_id", "class": "class_id", "splash": "splash_id"}
 LAYERS = (
-    "beauty", "wet", "rain_alpha", "near_alpha", "spray_alpha", "splash_alpha", "rain_depth",
-    "depth", "position", "normal", "flow", "flow_mask", "water_depth", *LIGHT.values(), *SHARES,
-    *IDS.values(),
+    "beauty", "wet", "rain_alpha", "near_alpha", "spray_alpha", "splash_alpha",
+    *DEPTHS.values(), "depth", "position", "normal", "flow", "flow_mask", "water_depth",
+    *LIGHT.values(), *SHARES, *IDS.values(),
+)  # fmt: skip
+PARTS = (  # in their order in the file; viewers show the first
+    "beauty", "rain", "near", "streaks", "spray", "splashes", "air", "depth", "position", "normal",
+    "motion", "wet", *LIGHT, *SHARES, "water_depth", "ids",
 )  # fmt: skip
 LEAST_PAST = 1e-6  # share of light that near drops and spray let through: behind less nothing shows
 
@@ -133,30 +139,39 @@ def parts_of(report, colorspace="rec709"):
         Of `SPACES`.
     """
     layers = report.aovs
+    right, down = np.moveaxis(layers["flow"], -1, 0)
+    ids = {name: layers[layer].astype(np.float32) for name, layer in IDS.items()}
+    data = {
+        "splashes": {"Z": np.where(layers["splash_alpha"] > 0, layers["depth"], np.inf)},
+        **{part: {"Z": layers[layer]} for part, layer in DEPTHS.items()},
+        "depth": {"Z": layers["depth"]},
+        "position": _channels("XYZ", layers["position"]),
+        "normal": _channels("XYZ", half(layers["normal"])),
+        "motion": {"u": half(right), "v": half(-down)},
+        "water_depth": {"Y": half(layers["water_depth"])},
+        "ids": {**ids, "motion": layers["flow_mask"].astype(np.float32)},
+    }
+    light = light_parts_of(report, colorspace) if report.parts is None else report.parts
+    return {name: {**light.get(name, {}), **data.get(name, {})} for name in PARTS}
+
+
+def light_parts_of(report, colorspace):
+    """Return those of `parts_of` that hold light, and shares of it, without their depth."""
+    layers = report.aovs
     matrix = from_rec709(SPACES[colorspace]) * report.light["brightness"]
 
     def light(values):
-        return _channels("RGB", half(np.asarray(values, np.float64) @ matrix.T))
+        return _channels("RGB", half_or_float(np.asarray(values, np.float64) @ matrix.T))
 
-    opaque = np.ones(layers["depth"].shape, np.float16)
+    opaque = np.ones(layers["beauty"].shape[:2], np.float16)
     # The layer has its brightness already.
     seen = layers["beauty"] / np.float64(report.light["brightness"] or 1)
     parts = {"beauty": {**light(seen), "A": opaque}}
     for part, (radiance, alpha) in _elements(report).items():
         parts[part] = {**light(radiance), "A": half(alpha)}
-    parts["rain"]["Z"] = layers["rain_depth"]
-    parts["depth"] = {"Z": layers["depth"]}
-    parts["position"] = _channels("XYZ", layers["position"])
-    parts["normal"] = _channels("XYZ", half(layers["normal"]))
-    right, down = np.moveaxis(layers["flow"], -1, 0)
-    parts["motion"] = {"u": half(right), "v": half(-down)}
     parts["wet"] = light(layers["wet"].astype(np.float64) - layers["film"])
     parts |= {part: light(layers[layer]) for part, layer in LIGHT.items()}
-    parts |= {name: {"Y": half(layers[name])} for name in SHARES}
-    parts["water_depth"] = {"Y": half(layers["water_depth"])}
-    ids = {name: layers[layer].astype(np.float32) for name, layer in IDS.items()}
-    parts["ids"] = {**ids, "motion": layers["flow_mask"].astype(np.float32)}
-    return parts
+    return parts | {name: {"Y": half(layers[name])} for name in SHARES}
 
 
 def _channels(names, values):
@@ -168,7 +183,7 @@ def _elements(report):
 
     By part: the rain whole, and what it is made of from the front to the back.
     """
-    layers, shape = report.aovs, report.aovs["depth"].shape
+    layers, shape = report.aovs, report.aovs["beauty"].shape[:2]
     past = {
         name: 1 - layers[f"{name}_alpha"].astype(np.float64)
         for name in ("rain", "near", "spray", "splash")

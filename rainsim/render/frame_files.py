@@ -65,7 +65,7 @@ class FrameWriter:
         names = write_layers(self.folder, report) if report.aovs else ()
         # A copy: on a GPU the next frame overwrites the picture.
         written = self._writer.submit(self._write, picture.copy(), report.index, also)
-        self._written = written, names, replace(report, aovs={})
+        self._written = written, names, replace(report, aovs={}, parts=None)
 
     def wait(self):
         """Wait for the frame that is being written."""

@@ -276,3 +276,4 @@ def _glare(dazzling, shown):
 
 for _name in ("drop_flow", "near_alpha", "spray_alpha", "rain_depth"):
     layer(_name)(getattr(rain_layers, _name))
+layer("near_depth", "streak_depth", "spray_depth")(rain_layers.element_depths)

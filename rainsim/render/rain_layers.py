@@ -14,9 +14,9 @@ from scipy import ndimage
 
 from rainsim.particles.line_raster import NEAR
 from rainsim.particles.spray import CUT, lay_clouds, spray_seen
-from rainsim.particles.streaks import draw_streaks, streak_reach
+from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.dripping import drips_seen
-from rainsim.render.rain_pass import draw_spray
+from rainsim.render.rain_pass import draw_spray, drawn_reach
 from rainsim.scene.view import camera_points, corner_rays, image_point
 
 NEAR_DROPS = 2.0  # m: drops nearer than this are an element of their own
@@ -35,7 +35,7 @@ def near_alpha(depth, ground_camera, ground_camera_end, time, render, field, sur
     """Return the share of light that drops of the rain nearer than `NEAR_DROPS` replace."""
     alpha = np.zeros(depth.shape, np.float32)
     if field is not None and render.streaks != "paper":
-        reach = streak_reach(field, ground_camera, render.exposure, render.streak_far)
+        reach = drawn_reach(field, ground_camera, render)
         draw_streaks(
             field, surfaces, ground_camera, time, render.exposure, depth,
             np.minimum(reach, NEAR_DROPS), alpha, ground_camera_end, render.aperture, render.focus,
@@ -95,20 +95,58 @@ def rain_depth(
     surface behind them. A pixel that a drop touches only with its edge takes the depth of the
     nearest one whose middle is known.
     """
+    lines, clouds = _falling(ground_camera, time, render, field, drips, throws)
+    cameras = ground_camera, ground_camera_end
+    weight, total = _gathered(np.concatenate(lines), clouds, *cameras, render, depth)
+    splashes = -np.log1p(-np.minimum(splash_alpha.ravel(), 0.9999).astype(np.float64))
+    splashes[~np.isfinite(depth.ravel())] = 0
+    weight += splashes
+    total += np.where(splashes > 0, depth.ravel(), 0) * splashes
+    return _mean(weight, total, (rain_alpha > 0) | (splash_alpha > 0), depth)
+
+
+def element_depths(
+    rain_alpha, near_alpha, spray_alpha, depth, ground_camera, ground_camera_end, time, render,
+    field, drips, throws,
+):  # fmt: skip
+    """Return `rain_depth` of near drops alone, of all other drops, and of spray."""
+    (spray, falling, dripping), clouds = _falling(ground_camera, time, render, field, drips, throws)
+    rest = ground_camera, ground_camera_end, render, depth
+    rounded = 1e-6
+    past_both = (1 - near_alpha) * (1 - spray_alpha) - rounded
+    far = _gathered(falling, None, *rest, nearest=NEAR_DROPS)
+    dripped = _gathered(dripping, None, *rest)
+    return (
+        _mean(*_gathered(falling, None, *rest, farthest=NEAR_DROPS), near_alpha > 0, depth),
+        _mean(far[0] + dripped[0], far[1] + dripped[1], 1 - rain_alpha < past_both, depth),
+        _mean(*_gathered(spray, clouds, *rest), spray_alpha > 0, depth),
+    )
+
+
+def _falling(ground_camera, time, render, field, drips, throws):
+    """Return drops of spray, of the rain and drips as lists of lines, and the clouds of spray."""
+    spray, clouds = _spray(ground_camera, time, render, field, throws)
+    if field is None:
+        return [spray, spray[:0], spray[:0]], clouds
+    far = np.full(len(field.velocity), render.streak_far)
+    if render.streaks != "paper":
+        far = drawn_reach(field, ground_camera, render)
+    found = _drops_in_view(field, ground_camera, time, render.streak_far)
+    size = np.searchsorted(field.spectrum.edges, found.diameter, side="right") - 1
+    away = project(found.position, ground_camera)[:, 2]
+    shown = away < far[np.clip(size, 0, len(far) - 1)]
+    listed = np.column_stack([found.position, found.velocity, found.diameter])
+    return [spray, listed[shown], drips_seen(drips[0], time, render.exposure)], clouds
+
+
+def _gathered(
+    lines, clouds, ground_camera, ground_camera_end, render, depth, nearest=0.0, farthest=np.inf
+):  # fmt: skip
+    """Return the light that drops and clouds replace, and that times its depth, of each pixel.
+
+    Both are flat arrays. Drops count from the depth `nearest` to `farthest` [m].
+    """
     weight, total = np.zeros(depth.size), np.zeros(depth.size)
-    drops, clouds = _spray(ground_camera, time, render, field, throws)
-    lines = [drops]
-    if field is not None:
-        far = np.full(len(field.velocity), render.streak_far)
-        if render.streaks != "paper":
-            far = streak_reach(field, ground_camera, render.exposure, render.streak_far)
-        found = _drops_in_view(field, ground_camera, time, render.streak_far)
-        size = np.searchsorted(field.spectrum.edges, found.diameter, side="right") - 1
-        away = project(found.position, ground_camera)[:, 2]
-        shown = away < far[np.clip(size, 0, len(far) - 1)]
-        listed = np.column_stack([found.position, found.velocity, found.diameter])
-        lines += [listed[shown], drips_seen(drips[0], time, render.exposure)]
-    lines = np.concatenate(lines)
     after = lines[:, :3] + lines[:, 3:6] * render.exposure
     ends = (
         project(lines[:, :3], ground_camera),
@@ -117,18 +155,21 @@ def rain_depth(
     # A drop's alphas sum to its area in pixels.
     area = math.pi / 4 * ground_camera.fx * ground_camera.fy / SAMPLES
     for at, _, cover, z in _samples(*ends, lines[:, 6], 1.0, depth, render.streak_far):
+        counts = (z >= nearest) & (z < farthest)
+        at, cover, z = at[counts], cover[counts], z[counts]
         np.add.at(weight, at, area * cover)
         np.add.at(total, at, area * cover * z)
     # A drop is drawn in the two pixels beside its path, the samples are in one of them.
     weight, total = (_spread(values.reshape(depth.shape)).ravel() for values in (weight, total))
-    _add_clouds(clouds, ground_camera, depth, weight, total)
-    splashes = -np.log1p(-np.minimum(splash_alpha.ravel(), 0.9999).astype(np.float64))
-    splashes[~np.isfinite(depth.ravel())] = 0
-    weight += splashes
-    total += np.where(splashes > 0, depth.ravel(), 0) * splashes
+    if clouds is not None:
+        _add_clouds(clouds, ground_camera, depth, weight, total)
+    return weight, total
+
+
+def _mean(weight, total, shows, depth):
+    """Return the mean depth of each pixel [m], infinite but for those that show something."""
     known = (weight > 0).reshape(depth.shape)
     out = np.full(depth.shape, np.inf, np.float32)
-    shows = (rain_alpha > 0) | (splash_alpha > 0)
     if known.any():
         mean = (total / np.maximum(weight, 1e-30)).reshape(depth.shape)
         nearest = ndimage.distance_transform_edt(

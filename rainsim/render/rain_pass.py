@@ -50,7 +50,7 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
         paper.draw_lines(field, surfaces, camera, time, render.streak_far, depth, alpha)
         fog = NO_FOG
     else:
-        reach = streak_reach(field, camera, render.exposure, render.streak_far)
+        reach = drawn_reach(field, camera, render)
         seen = drips_seen(drips[0], time, render.exposure)
         more = np.concatenate([seen, drops]) if len(drops) else seen
         draw_streaks(
@@ -59,6 +59,11 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
         fog = fog_table(field, reach)
     lay_clouds(clouds, camera, depth, alpha)
     return alpha, fog
+
+
+def drawn_reach(field, camera, render):
+    """Return the depth of each class up to which its drops are drawn, see `streak_reach`."""
+    return streak_reach(field, camera, render.reach_exposure or render.exposure, render.streak_far)
 
 
 def draw_spray(drops, depth, camera, camera_end, time, render, alpha_out):

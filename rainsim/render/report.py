@@ -27,6 +27,8 @@ class FrameReport:
         The frame's weather, names of classes, boxes: see `layers.facts_of`.
     exr : ExrFormat or None
         How its layers are written as one OpenEXR file, too.
+    parts : dict or None
+        The parts of that file with light, where they are not those of the layers.
 
     Examples
     --------
@@ -44,6 +46,7 @@ class FrameReport:
     light: dict = field(default_factory=dict)
     facts: dict = field(default_factory=dict)
     exr: object = None
+    parts: dict | None = None
 
 
 class Timer:

@@ -125,7 +125,7 @@ def cameras_from_data(data, source):
     )
 
 
-def write_transforms(path, cameras, file_paths=None):
+def write_transforms(path, cameras, file_paths=None, lens=None):
     """Write cameras as a NeRF style `transforms.json` that `read_cameras` reads back exactly.
 
     Parameters
@@ -136,8 +136,10 @@ def write_transforms(path, cameras, file_paths=None):
         Pinhole cameras.
     file_paths : sequence of str, optional
         The pictures that belong to the cameras; by default the cameras' names.
+    lens : dict, optional
+        camera_model and coefficients of the lens that distorts the pictures.
     """
-    write_json(path, cameras_to_data(cameras, file_paths))
+    write_json(path, cameras_to_data(cameras, file_paths) | (lens or {}))
 
 
 def cameras_to_data(cameras, file_paths=None):

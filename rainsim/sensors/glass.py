@@ -31,20 +31,41 @@ MARGIN = 0.01  # m of pane around what the picture shows
 
 @dataclass(frozen=True)
 class Pane:
-    """A pane of glass.
+    """A pane of glass before a lens, on which it rains.
 
-    Without tilt it stands across the camera's axis. A stroke of the wiper clears it; the last one
-    was `age` modulo `wiper` ago.
+    Attributes
+    ----------
+    distance : float [m]
+        From the camera along its axis.
+    tilt : float [rad]
+        Of the upper edge towards the camera's back; without it the pane is across the axis.
+    contact_angle : float [rad]
+        Of water on it.
+    speed : float [m/s]
+        Of the camera along its level view direction.
+    age : float [s]
+        For how long it has rained on the pane.
+    wiper : float [s] or None
+        Between strokes that clear it, the last one `age` modulo `wiper` ago; None: no wiper.
+    aperture : float [m]
+        Of the lens; 0 for a pinhole.
+    focus : float [m]
+        Distance of what is in focus.
+
+    Examples
+    --------
+    >>> rainsim.Pane(age=20.0, wiper=6.0).wet_for
+    2.0
     """
 
-    distance: float = 0.08  # m, from the camera along its axis
-    tilt: float = math.radians(30)  # rad, of the upper edge towards the camera's back
-    contact_angle: float = math.radians(50)  # rad, of water on it
-    speed: float = 0.0  # m/s, of the camera along its level view direction
-    age: float = 10.0  # s, for how long it has rained on the pane
-    wiper: float | None = None  # s, between strokes; None: there is no wiper
-    aperture: float = 2e-3  # m, of the lens; 0 for a pinhole
-    focus: float = 10.0  # m, distance of what is in focus
+    distance: float = 0.08
+    tilt: float = math.radians(30)
+    contact_angle: float = math.radians(50)
+    speed: float = 0.0
+    age: float = 10.0
+    wiper: float | None = None
+    aperture: float = 2e-3
+    focus: float = 10.0
 
     def __post_init__(self):
         """Raise ParameterError if a value breaks its rule."""

@@ -27,8 +27,18 @@ REMEDY = "give other coefficients or a longer focal length"
 class Lens:
     """A lens as OpenCV has it.
 
-    "opencv" is radial and tangential, with values k1, k2, p1, p2 and optionally k3; "fisheye" has
-    the angle off the axis as a polynomial, with values k1 to k4.
+    Attributes
+    ----------
+    model : str
+        "opencv" is radial and tangential, "fisheye" has the angle off the axis as a polynomial.
+    values : tuple of float
+        k1, k2, p1, p2 and optionally k3; of a fisheye k1 to k4.
+
+    Examples
+    --------
+    >>> x, y = rainsim.Lens("opencv", (-0.2, 0.0, 0.0, 0.0)).distort(0.5, 0.0)
+    >>> round(float(x), 3)
+    0.475
 
     References
     ----------
@@ -148,14 +158,17 @@ class LensWarp:
 
     def colors(self, picture):
         """Return the distorted picture of 8-bit colours, interpolated bilinearly."""
+        return np.rint(self.light(picture.astype(np.float32))).astype(np.uint8)
+
+    def light(self, picture):
+        """Return the distorted picture of numbers with channels, interpolated bilinearly."""
         height, width = picture.shape[:2]
         x, y = np.clip(self.u - 0.5, 0, width - 1), np.clip(self.v - 0.5, 0, height - 1)
         i, j = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
         a, b = (x - i)[..., None], (y - j)[..., None]
-        picture = picture.astype(np.float32)
         top = picture[j, i] * (1 - a) + picture[j, i + 1] * a
         bottom = picture[j + 1, i] * (1 - a) + picture[j + 1, i + 1] * a
-        return np.rint(top * (1 - b) + bottom * b).astype(np.uint8)
+        return top * (1 - b) + bottom * b
 
     def nearest(self, values):
         """Return the distorted picture of ids, depths or shares: that of the nearest pixel."""

@@ -101,10 +101,10 @@ class Home:
         frames = ["--frames", str(config.frames), "--frame-range", f"{index}:{index + 1}"]
         return self._write(session, folder, config, data, frames)
 
-    def save_path(self, session, keyframes, width, height):
+    def save_path(self, session, keyframes, width, height, video=False):
         """Write a path through keyframes and the settings along it; return the folder as `Taken`.
 
-        The other parameters are those of `save_shot`.
+        The other parameters are those of `save_shot`; with `video` the command makes one.
         """
         config = replace(path_config(keyframes, session.config), width=width, height=height)
         views = smooth_path(keyframes, config.fps)
@@ -115,7 +115,8 @@ class Home:
         ]
         data = camera_path_data(poses, width, height, config.fps, marks, config.moments)
         folder = self._new("path")
-        return self._write(session, folder, config, data, ["--frames", str(config.frames)])
+        frames = ["--frames", str(config.frames), *(["--video"] if video else [])]
+        return self._write(session, folder, config, data, frames)
 
     def save_ground(self, session):
         """Write ground frame and painted classes, as options take them; return them as `Taken`."""

@@ -51,6 +51,62 @@ def times_of(keyframes):
     return np.concatenate([[0.0], np.cumsum([k.seconds for k in keyframes[1:]])])
 
 
+def placed(keyframes, times):
+    """Return keyframes in the order of their times [s], the first of which becomes 0.
+
+    ParameterError if two have the same time.
+    """
+    order = np.argsort(times, kind="stable")
+    apart = np.diff(np.asarray(times, np.float64)[order], prepend=0.0)
+    if (apart[1:] <= 0).any():
+        at = times[order[int(np.argmin(apart[1:])) + 1]]
+        raise ParameterError(
+            f"two keyframes are at {at:g} s; each needs a time of its own; move or delete one"
+        )
+    usual = Keyframe.__dataclass_fields__["seconds"].default
+    return [
+        replace(keyframes[k], seconds=usual if n == 0 else float(apart[n]))
+        for n, k in enumerate(order)
+    ]
+
+
+def without(keyframes, n):
+    """Return keyframes without one; the others keep their times, but that the first is 0."""
+    times = times_of(keyframes)
+    kept = [k for k in range(len(keyframes)) if k != n]
+    return placed([keyframes[k] for k in kept], times[kept])
+
+
+def with_timeline(keyframes, config, view):
+    """Return keyframes with the settings of a timeline, and more of them at its times.
+
+    Parameters
+    ----------
+    keyframes : sequence of Keyframe
+        They keep their cameras and times; the timeline's other times get the camera that the path
+        has there. May be empty.
+    config : Config
+        With the timeline.
+    view : Viewpoint
+        The camera where there is no path yet.
+    """
+    own = times_of(keyframes) if keyframes else np.zeros(0)
+    given = dict.fromkeys([0.0, *(time for time, _ in config.keyframes)])
+    more = [time for time in given if not np.isclose(own, time).any()]
+    views = [view_at(keyframes, time) if keyframes else view for time in more]
+    found = [*keyframes, *(Keyframe(view, config) for view in views)]
+    times = np.array([*own, *more])
+    if any(keyframe.time is not None for keyframe in keyframes):
+        found = [replace(keyframe, time=None) for keyframe in found]
+    config = [config.at(float(time)) for time in times]
+    return placed([replace(k, config=c) for k, c in zip(found, config, strict=True)], times)
+
+
+def view_at(keyframes, time):
+    """Return the view that the path through keyframes has at a time [s]; at its ends it rests."""
+    return _views_at(keyframes, np.array([time]))[0]
+
+
 def smooth_path(keyframes, fps):
     """Return the views of all frames from the first keyframe to the last.
 
@@ -82,9 +138,17 @@ def smooth_path(keyframes, fps):
         raise ParameterError(
             f"the path has {count} frames; it must have at most {MAX_FRAMES}; shorten it"
         )
+    return _views_at(keyframes, np.arange(count) / fps)
+
+
+def _views_at(keyframes, times):
+    """Return the views at some times [s]."""
     views = [keyframe.view for keyframe in keyframes]
+    if len(views) == 1:
+        return views * len(times)
+    at = times_of(keyframes)
     turns = Rotation.from_matrix([view.rotation for view in views])
-    when = np.minimum(np.arange(count) / fps, at[-1])
+    when = np.clip(times, 0.0, at[-1])
     position = CubicSpline(at, [view.position for view in views], bc_type="clamped")(when)
     fov = PchipInterpolator(at, [view.fov for view in views])(when)
     quaternion = RotationSpline(at, turns)(when).as_quat()

@@ -1,7 +1,7 @@
 """The page: a viser server, its clients, and the pictures that they are shown.
 
-With its neighbours `page_settings`, `page_ground` and `page_home` the only code that speaks to
-viser. Callbacks run in viser's threads and only hand on to the `Painter`.
+With its neighbours `page_settings`, `page_ground`, `page_home` and `page_keyframes` the only code
+that speaks to viser. Callbacks run in viser's threads and only hand on to the `Painter`.
 """
 
 from __future__ import annotations

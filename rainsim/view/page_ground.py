@@ -212,7 +212,10 @@ class GroundTools:
         What change(session) returns is said. Pages look at the new ground upright.
         """
         clients = {k: c for k, c in self.page.clients.items() if c.view is not None}
-        before = [*(client.view for client in clients.values()), *self.page.home.views]
+        before = [
+            *(client.view for client in clients.values()),
+            *(k.view for k in self.page.home.keyframes.keyframes),
+        ]
 
         def work(session):
             cameras = [session.camera_of(view, *SOME_SIZE) for view in before]
@@ -225,7 +228,7 @@ class GroundTools:
         self.answer.content = found
         for client, view in zip(clients.values(), views[: len(clients)], strict=True):
             self.page.turn(client, view)
-        self.page.home.move(views[len(clients) :])
+        self.page.home.keyframes.move(views[len(clients) :])
         self.painter.redraw()
 
     def _paint(self, point):

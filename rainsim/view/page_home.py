@@ -2,48 +2,30 @@
 
 from __future__ import annotations
 
-import math
 import threading
-from dataclasses import replace
-
-import numpy as np
 
 from rainsim.config.frame_settings import MAX_SIDE
 from rainsim.errors import ParameterError, RainsimError
-from rainsim.io.files import parsed_json, printable_name
-from rainsim.render.leaving import HARDLY_SEEN, MUCH
-from rainsim.scene.camera_path import path_keyframes
+from rainsim.io.video import VideoFormat, require_video
 from rainsim.view.home import Run
-from rainsim.view.keyframes import Keyframe, smooth_path
+from rainsim.view.page_keyframes import KeyframeTools
 
-GOES_ON, AS_SEEN = "goes on", "as at the keyframes"  # time of the rain along a path
 LOOK_EVERY = 0.5  # s between looks at how far a film is
-FRUSTUM = 0.15  # m, size of a keyframe in the scene
-
-
-def behind(view, aspect):
-    """Return where a frustum stands whose wide end is just behind a view's eye [m], (3,).
-
-    With its tip at the eye its rim would frame the picture of a page that looks from there.
-    """
-    tangent = math.tan(view.fov / 2)
-    length = FRUSTUM / math.cbrt(tangent**2 * aspect / 3)  # viser's: its volume is the scale cubed
-    return np.array(view.position) - 1.02 * length * view.rotation[:, 2]
 
 
 class HomeTools:
-    """Screenshots and camera paths, the same on all pages.
+    """Screenshots, camera paths and films, the same on all pages.
 
     Attributes
     ----------
-    keyframes : list of Keyframe
+    keyframes : KeyframeTools
     taken : Taken or None
         What was saved last.
     """
 
     def __init__(self, page, home):
         self.page, self.painter, self.home = page, page.painter, home
-        self.keyframes, self._nodes, self.taken, self._run = [], [], None, None
+        self.taken, self._run = None, None
         gui, config = page.server.gui, page.painter.config
 
         def button(label, function, **more):
@@ -57,17 +39,14 @@ class HomeTools:
             self.height = gui.add_number("height [px]", height, min=8, max=MAX_SIDE, step=4)
             button("save this picture", self._save_shot)
             button("print its command", self._print_command)
-            self.seconds = gui.add_number("seconds to it", 2.0, min=0.05, max=600.0, step=0.05)
-            self.time = gui.add_dropdown("time of the rain", (GOES_ON, AS_SEEN))
-            button("add a keyframe", self._add)
-            button("remove the last keyframe", self._remove)
+            self.keyframes = KeyframeTools(page, gui, lambda: self.size[0] / self.size[1])
+            self.video = gui.add_checkbox("with a video", False)
             button("save the path", self._save_path)
-            self.load = gui.add_upload_button("load a path", mime_type="application/json")
             button("draw the saved one here", self._draw_here)
+            button("make a video of the path", self._make_video)
             self.stop = button("cancel", lambda _: self.cancel(), disabled=True)
             self.progress = gui.add_progress_bar(0.0, visible=False)
-            self.words = gui.add_markdown("no keyframe")
-        self.load.on_upload(page.guarded(self._load))
+            self.words = gui.add_markdown("nothing is saved yet")
 
     # --- files ------------------------------------------------------------------------------------
 
@@ -88,91 +67,19 @@ class HomeTools:
         self._took(self.painter.ask(lambda session: save(session, view, index, *size)))
 
     def _save_path(self, event):
-        keyframes, size = list(self.keyframes), self.size
-        if self.time.value == GOES_ON:
-            keyframes = [replace(keyframe, time=None) for keyframe in keyframes]
-        self._took(self.painter.ask(lambda session: self.home.save_path(session, keyframes, *size)))
+        given = self.keyframes.given(), *self.size, bool(self.video.value)
+        self._took(self.painter.ask(lambda session: self.home.save_path(session, *given)))
+
+    def _make_video(self, event):
+        require_video(VideoFormat())
+        self.video.value = True
+        self._save_path(event)
+        self._draw_here(event)
 
     def _took(self, future):
         self.taken = future.result()
         self.home.say(self.taken.line)
         self.words.content = f"saved in `{self.taken.folder}`\n\n```\n{self.taken.line}\n```"
-
-    # --- keyframes --------------------------------------------------------------------------------
-
-    def _add(self, event):
-        keyframe = Keyframe(
-            self.page.viewpoint_of(event), self.painter.config, float(self.seconds.value),
-            self.painter.clock.time,
-        )  # fmt: skip
-        self.keyframes.append(keyframe)
-        self._show_path()
-        share = self.page.badly_seen(event)
-        if share > MUCH:
-            event.client.add_notification(
-                "rainsim", f"{share:.0%} of this keyframe's picture {HARDLY_SEEN}", color="yellow"
-            )  # fmt: skip
-
-    def _load(self, event):
-        """Take the keyframes of a file; settings are the present ones, since it has none."""
-        name = printable_name(self.load.value.name)
-        data = parsed_json(self.load.value.content.decode("utf-8", "replace"))
-        loaded = path_keyframes(data, name)
-        views = self.painter.ask(
-            lambda s: [s.viewpoint_of(camera) for camera, *_ in loaded]
-        ).result()
-        config = self.painter.config
-        self.keyframes = [
-            Keyframe(view, config, seconds, time)
-            for view, (_, seconds, time) in zip(views, loaded, strict=True)
-        ]
-        has_times = all(keyframe.time is not None for keyframe in self.keyframes)
-        self.time.value = AS_SEEN if has_times else GOES_ON
-        self._show_path()
-
-    def _remove(self, event):
-        if not self.keyframes:
-            raise ParameterError("there is no keyframe; add one first")
-        self.keyframes.pop()
-        self._show_path()
-
-    def _show_path(self):
-        """Show keyframes and the path through them in the scene."""
-        for node in self._nodes:
-            node.remove()
-        self._nodes, scene = [], self.page.server.scene
-        aspect = self.size[0] / self.size[1]
-        for n, keyframe in enumerate(self.keyframes):
-            view = keyframe.view
-            self._nodes.append(
-                scene.add_camera_frustum(
-                    f"/keyframes/{n}", fov=view.fov, aspect=aspect, scale=FRUSTUM, wxyz=view.turn,
-                    position=behind(view, aspect), color=(86, 180, 233),
-                )
-            )  # fmt: skip
-        count = len(self.keyframes)
-        if count > 1:
-            views = smooth_path(self.keyframes, 24.0)
-            places = np.array([view.position for view in views], np.float32)
-            self._nodes.append(
-                scene.add_line_segments(
-                    "/path", np.stack([places[:-1], places[1:]], axis=1), (230, 159, 0)
-                )
-            )
-        seconds = sum(keyframe.seconds for keyframe in self.keyframes[1:])
-        self.words.content = f"keyframes: {count}, {seconds:g} s"
-        self.page.use_depth()
-
-    @property
-    def views(self):
-        """Views of the keyframes."""
-        return [keyframe.view for keyframe in self.keyframes]
-
-    def move(self, views):
-        """Take the keyframes to other views, one each."""
-        pairs = zip(self.keyframes, views, strict=True)
-        self.keyframes = [replace(keyframe, view=view) for keyframe, view in pairs]
-        self._show_path()
 
     # --- drawing here -----------------------------------------------------------------------------
 

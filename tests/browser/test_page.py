@@ -167,10 +167,11 @@ def test_a_path_is_saved_and_drawn_here(server, open_page):
     page.press("save the path")
     folder = server[2] / "home/path-001"
     page.wait_until(lambda: (folder / "command.txt").is_file())
-    page.press("remove the last keyframe")
+    page.open_folder("Edit a keyframe")
+    page.press("delete it")
     page.wait_until(lambda: page.says("keyframes: 1"))
     with page.page.expect_file_chooser() as chooser:
-        page.press("load a path")
+        page.press("load a path or preset")
     chooser.value.set_files(folder / "camera_path.json")
     page.wait_until(lambda: page.says("keyframes: 2, 0.1 s"))
     page.press("save the path")  # the same path again
@@ -182,6 +183,46 @@ def test_a_path_is_saved_and_drawn_here(server, open_page):
     page.press("draw the saved one here")
     page.wait_until(lambda: page.says("3 of 3 frames, drawn in"), 300)
     assert len(list((again / "drawn/frames").iterdir())) == 3
+
+
+def test_the_list_of_keyframes_is_edited_and_played(server, open_page, root):
+    page = open_page(server[1])
+    page.settle(WIDTH)
+    page.open_folder("Take home")
+    page.press("add a keyframe")
+    page.wait_until(lambda: page.says("keyframes: 1"))
+    act(page, page.drag)
+    page.press("add a keyframe")
+    page.wait_until(lambda: page.says("keyframes: 2, 2 s"))
+    with page.page.expect_file_chooser() as chooser:
+        page.press("load a path or preset")
+    chooser.value.set_files(root / "examples/timeline.toml")
+    page.wait_until(lambda: page.says("keyframes: 7, 8 s"))  # at 2 s, too
+    assert page.says("5\t5\t50\t8\t3 to 40\t1")
+    page.open_folder("Edit a keyframe")
+    page.choose("keyframe", "5")
+    page.type_into("its rain [mm/h]", 77)
+    page.type_into("its wind to [deg]", 90)
+    page.type_into("its wetness", 1.5)
+    page.type_into("at [s]", 4)
+    page.wait_until(lambda: page.says("5\t4\t77\t8\t3 to 90\t1.5"))
+    page.type_into("at [s]", 8)  # where another is
+    page.wait_until(lambda: page.says("two keyframes are at 8 s"))
+    page.press("delete it")
+    page.wait_until(lambda: page.says("keyframes: 6, 8 s"))
+    page.choose("keyframe", "1")
+    before = page.pixels()
+    page.press("look from it")
+    page.wait_until(lambda: page.differs(before))
+    page.press("play along the path")
+    page.wait_until(lambda: page.says("t = 1."))  # behind the page's own frames
+    page.press("stop")
+    page.wait_until(lambda: page.says("play along the path"))
+    page.tick("with a video")
+    page.press("save the path")
+    page.wait_until(lambda: page.says("--video"))
+    assert "--video" in (server[2] / "home/path-001/command.txt").read_text()
+    assert (server[2] / "home/path-001/preset.toml").read_text().count("[[keyframe]]") == 6
 
 
 def test_two_pages_a_reload_and_a_lost_connection(server, open_page):

@@ -56,6 +56,23 @@ def test_camera_path(tmp_path):
     assert near != far
 
 
+def test_rain_over_a_plate(tmp_path):
+    pytest.importorskip("OpenEXR")
+    from rainsim.io.exr import half, write_parts
+    from rainsim.io.images import read_image, write_png
+
+    (tmp_path / "exr").mkdir()
+    light = {"R": 0.1, "G": 0.2, "B": 0.0, "A": 0.5}
+    rain = {name: half(np.full((4, 6), value)) for name, value in light.items()}
+    write_parts(tmp_path / "exr/a.0001.exr", [("rain", rain, {})], {}, 24.0)
+    write_png(tmp_path / "plate.png", np.full((4, 6, 3), 255, np.uint8))
+    load("rain_over_a_plate").main(tmp_path / "exr", tmp_path / "plate.png", tmp_path / "over")
+    picture = read_image(tmp_path / "over/a.0001.png")
+    light = np.array([0.6, 0.7, 0.5])  # half of white shows through
+    expected = np.rint(255 * (1.055 * light ** (1 / 2.4) - 0.055))
+    assert np.abs(picture - expected).max() <= 1 and picture.shape == (4, 6, 3)
+
+
 def test_solver_on_a_basin(capsys):
     load("solver_on_a_basin").main(cells=16, seconds=1)
     assert any(character.isdigit() for character in capsys.readouterr().out)

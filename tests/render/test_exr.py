@@ -119,6 +119,7 @@ def test_headers_say_space_exposure_and_time(shot, tmp_path):
     precise = {name for name, kind in types.items() if kind == np.float32}
     ids = {f"ids.{name}" for name in ("actor", "puddle", "class", "splash", "motion")}
     places = {"position.X", "position.Y", "position.Z", "depth.Z", "rain.Z"}
+    places |= {f"{part}.Z" for part in ELEMENTS if part != "air"}
     assert precise == ids | places and set(types.values()) == {np.dtype("f2"), np.dtype("f4")}
 
 
@@ -135,6 +136,13 @@ def test_the_rain_has_parts_and_a_depth(shot):
     assert alone.sum() > 100 and np.mean(z[alone] < NEAR_DROPS) > 0.9, np.mean(
         z[alone] < NEAR_DROPS
     )
+    near_z, streak_z, spray_z = (layers[f"{n}_depth"] for n in ("near", "streak", "spray"))
+    assert (np.isfinite(near_z) == (near > 0)).all() and near_z[near > 0].max() < NEAR_DROPS + 0.5
+    both = np.isfinite(near_z) & np.isfinite(streak_z)
+    assert both.sum() > 100 and np.mean(near_z[both] < streak_z[both]) > 0.9
+    assert not np.isfinite(spray_z).any()  # nothing drives
+    between = (near_z <= z + 1e-3) & (z <= streak_z + 1e-3)
+    assert between[both & (layers["splash_alpha"] == 0)].mean() > 0.8
     parts = parts_of(report)
     through = np.prod([1 - parts[name]["A"].astype(np.float64) for name in ELEMENTS], axis=0)
     np.testing.assert_allclose(1 - parts["rain"]["A"], through, atol=2e-3)
@@ -161,6 +169,16 @@ def test_names_without_a_number_are_refused(name):
     with pytest.raises(ParameterError, match="--exr-name") as caught:
         ExrFormat(24.0, name)
     assert "\n" not in str(caught.value) and "give one such as rain.%04d.exr" in str(caught.value)
+
+
+def test_lamps_are_written_as_floats(shot):
+    _, report = shot
+    aovs = {name: report.aovs[name] for name in LAYERS}
+    for name in ("wet", "beauty"):
+        aovs[name] = aovs[name] * np.float32(300 / aovs[name].max())
+    parts = parts_of(replace(report, aovs=aovs))
+    kinds = {part: channels["R"].dtype for part, channels in parts.items() if "R" in channels}
+    assert kinds["wet"] == kinds["beauty"] == np.float32 and kinds["rain"] == np.float16
 
 
 def test_names_count_from_the_first_frame():

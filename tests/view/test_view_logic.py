@@ -24,8 +24,19 @@ from rainsim.scene.camera_path import (
 )
 from rainsim.view import schedule
 from rainsim.view.clock import Clock
-from rainsim.view.keyframes import Keyframe, moments_of, path_config, smooth_path, timeline_of
-from rainsim.view.page_home import FRUSTUM, behind
+from rainsim.view.keyframes import (
+    Keyframe,
+    moments_of,
+    path_config,
+    placed,
+    smooth_path,
+    timeline_of,
+    times_of,
+    view_at,
+    with_timeline,
+    without,
+)
+from rainsim.view.page_keyframes import FRUSTUM, behind
 from rainsim.view.schedule import EXACT, SHARP, SMALL, STILL_AFTER, Schedule
 from rainsim.view.session import Viewpoint, out_of_date
 from rainsim.view.threads import ThreadChoice
@@ -432,6 +443,37 @@ def test_the_frustum_of_a_keyframe_is_not_seen_from_its_place():
     rim = (place + length * ahead - view.position) @ ahead
     assert -0.05 * length < rim < 0
     np.testing.assert_allclose(np.cross(place - view.position, ahead), 0, atol=1e-12)
+
+
+def test_a_timeline_is_the_list_and_the_list_a_timeline(root):
+    """Without a path the camera stands still; with one it goes as before."""
+    text = (root / "examples/timeline.toml").read_text()
+    given = Config.from_toml(text)
+    view = Viewpoint((0.0, -2.0, 1.0), (1.0, 0.0, 0.0, 0.0), 0.9)
+    alone = with_timeline([], given, view)
+    np.testing.assert_allclose(times_of(alone), [0, 1, 3, 5, 6.5, 8])
+    assert {keyframe.view for keyframe in alone} == {view}
+    again = path_config(alone, given.replace(fps=24.0))
+    for time in np.linspace(0, 8, 33):
+        for name in ("rate", "past", "wind", "cloudiness", "brightness"):
+            one, other = (config.at(time).value(name) for config in (given, again))
+            np.testing.assert_allclose(one, other, atol=1e-12)
+    path = [Keyframe(view, given), Keyframe(replace(view, position=(1.0, 0.0, 1.0)), given, 4.0)]
+    both = with_timeline(path, given, None)
+    np.testing.assert_allclose(times_of(both), [0, 1, 3, 4, 5, 6.5, 8])
+    np.testing.assert_allclose(both[2].view.position, view_at(path, 3.0).position)
+    assert both[3].view == path[1].view
+
+
+def test_keyframes_keep_their_times_when_one_goes_or_moves():
+    view, config = Viewpoint((0.0, -2.0, 1.0), (1.0, 0.0, 0.0, 0.0), 0.9), Config()
+    three = [Keyframe(replace(view, fov=0.5 + n), config, 1.0 + n) for n in range(3)]  # 0, 2, 5 s
+    assert times_of(without(three, 1)).tolist() == [0, 5]
+    assert times_of(without(three, 0)).tolist() == [0, 3]
+    moved = placed(three, [0.0, 6.0, 5.0])
+    assert [k.view.fov for k in moved] == [0.5, 2.5, 1.5] and times_of(moved).tolist() == [0, 5, 6]
+    with pytest.raises(ParameterError, match="two keyframes are at 5 s"):
+        placed(three, [0.0, 5.0, 5.0])
 
 
 def test_settings_of_keyframes_become_a_timeline():

@@ -1,0 +1,41 @@
+"""The rain of OpenEXR frames laid over another plate, as a compositor lays it.
+
+First `rainsim run --frames 2 --width 320 --exr --out comp`, which is in linear Rec. 709.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from rainsim.io.images import read_image, write_png
+from rainsim.numerics import srgb
+
+
+def parts_of(path):
+    """Return the channels of each part of an OpenEXR file, float32."""
+    import OpenEXR  # pip install "rainsim[exr]"
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {
+            part.name(): {name: np.float32(c.pixels) for name, c in part.channels.items()}
+            for part in file.parts
+        }
+
+
+def main(frames="comp/exr", plate=None, out="over", strength=1.0):
+    """Write a PNG for each frame: the rain over the plate, by default over an even grey."""
+    Path(out).mkdir(parents=True, exist_ok=True)
+    for path in sorted(Path(frames).glob("*.exr")):
+        rain = parts_of(path)["rain"]
+        light = np.stack([rain[channel] for channel in "RGB"], axis=-1)
+        behind = np.full(light.shape, 0.18, np.float32)
+        if plate is not None:
+            behind = srgb.linear(read_image(plate) / 255)
+        over = strength * light + (1 - strength * rain["A"][..., None]) * behind
+        shown = np.clip(srgb.display(over), 0, 1)
+        write_png(Path(out) / f"{path.stem}.png", np.rint(255 * shown).astype(np.uint8))
+    print(f"the frames over the plate are in {out}")
+
+
+if __name__ == "__main__":
+    main()
