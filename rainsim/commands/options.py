@@ -186,9 +186,9 @@ shot_options = _group(
     click.option("--path-camera", metavar="NAME",
                  help="Which camera of a USD or glTF file with several: its name or whole path."),
     click.option("--path-in", type=click.Choice(["ground", "capture"]), show_default="ground",
-                 help="Coordinates of a camera of USD, glTF or Blender: ground, those that `rainsim "
-                 "world` writes, in metres with z up; capture, the splats' own, and the numbers "
-                 "count as they stand."),
+                 help="Coordinates of a camera of USD, glTF or Blender: ground, those that "
+                 "`rainsim world` writes, in metres with z up; capture, the splats' own, and the "
+                 "numbers count as they stand."),
 )  # fmt: skip
 
 camera_options = _group(
@@ -273,8 +273,9 @@ shower_options = _group(  # for commands whose --rain takes several rates
     _of_setting("seed"),
 )
 
+size_options = _of_panel("picture")
 picture_options = _group(
-    _of_panel("picture"),
+    size_options,
     click.option("--video", is_flag=True,
                  help="Also write video.mp4, or video.mov for ProRes (needs rainsim[video])."),
     click.option("--video-codec", type=click.Choice(["h264", "h265", "prores"]),
