@@ -30,6 +30,10 @@ class Clock(NamedTuple):
         """Return the time code of the frame `index`, counted from 0."""
         return self.first + index
 
+    def codes(self, index, count):
+        """Return the time code of one of `count` values, as a tuple; () of a single one."""
+        return () if count == 1 else (self.code(index),)
+
 
 class Layer:
     """A stage that is filled in memory and written at once, whole or not at all."""
@@ -87,16 +91,14 @@ def camera_layer(cameras, clock, exposure):
         made.CreateVerticalApertureAttr(), made.CreateHorizontalApertureOffsetAttr(),
         made.CreateVerticalApertureOffsetAttr(),
     )  # fmt: skip
-    lens = None
     for index, camera in enumerate(cameras):
-        times = () if len(cameras) == 1 else (clock.code(index),)
         matrix = np.linalg.inv(camera.camera_from_world)
         matrix[:3, 1:3] *= -1  # our axes to OpenGL's
-        place.Set(Gf.Matrix4d(matrix.T.tolist()), *times)
-        before, lens = lens, _lens(camera)
-        if lens != before:
-            for attribute, value in zip(attributes, lens, strict=True):
-                attribute.Set(value, *times)
+        place.Set(Gf.Matrix4d(matrix.T.tolist()), *clock.codes(index, len(cameras)))
+    for attribute, values in zip(attributes, zip(*map(_lens, cameras), strict=True), strict=True):
+        values = values[:1] if len(set(values)) == 1 else values
+        for index, value in enumerate(values):
+            attribute.Set(value, *clock.codes(index, len(values)))
     settings = UsdRender.Settings.Define(layer.stage, SETTINGS)
     settings.CreateCameraRel().SetTargets([made.GetPath()])
     settings.CreateResolutionAttr(Gf.Vec2i(cameras[0].width, cameras[0].height))
@@ -108,7 +110,7 @@ def _lens(camera):
     """Return focal length, apertures and their offsets in tenths of a metre."""
     wide = TENTH * SENSOR
     focal = camera.fx / camera.width * wide
-    tall = camera.height / camera.fy * focal
+    tall = camera.height / camera.width * (camera.fx / camera.fy) * wide
     aside, down = camera.cx / camera.width - 0.5, camera.cy / camera.height - 0.5
     return focal, wide, tall, -aside * wide, down * tall
 
