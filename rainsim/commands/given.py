@@ -163,6 +163,7 @@ def scene_to_look_at(name, given):
     """
     from rainsim.errors import GroundError
 
+    _require_own_cameras(given.get("cameras"))
     try:
         return scene_of(name, given), False
     except GroundError:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from rainsim.commands import options
@@ -23,7 +21,6 @@ from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError, counted
 
 PARTS = ("camera", "ground", "water", "rain", "capture")
-GLB = "ground.glb"
 
 
 @click.command(short_help="Write camera, ground, puddles, rain and capture as USD.")
@@ -66,7 +63,7 @@ def world(scene, parts, frame_start, preset, out, overwrite, as_json, quiet, cla
     with status, compiled_beside(status, [SIMULATE], config.threads):
         loaded = loaded_scene(status, scene, given)
         cameras, config = cameras_of(loaded, config, given, say=status.notes)
-        out = Path(out or options.default_out(loaded.name, "world"))
+        out = out or options.default_out(loaded.name, "world")
         with claimed(out, overwrite, sources=[loaded.source, class_mask, *paths_in(given)]):
             set_threads(config.threads)
             from rainsim.pipeline import extract_terrain
@@ -89,7 +86,8 @@ def world(scene, parts, frame_start, preset, out, overwrite, as_json, quiet, cla
             status.notes(notes)
             record.add(*names)
             record.write(complete=True, notes=notes)
-    status.say(f"{counted(config.frames, 'frame')} in {relative(out)} ({status.seconds:.1f} s)")
+    total = f"{counted(config.frames, 'frame')} from {first:g} on"
+    status.say(f"{', '.join(parts)} in {relative(out)}, {total} ({status.seconds:.1f} s)")
     result = {"out": str(out), "files": names, "frames": config.frames, "fps": config.fps,
               "first_frame": first, "notes": notes}  # fmt: skip
     options.echo(result, as_json, str(out))

@@ -91,8 +91,8 @@ def camera_at(path, label, matrix, lens):
     turn = entry.rotation("place", matrix[:3, :3] / lengths) * FLIP
     if not np.isfinite(lens[:4]).all() or min(lens.focal, lens.shape) <= 0:
         raise InputError(
-            f"{entry.label}: focal length and picture are {lens.focal:g} and {lens.shape:g} (over "
-            "width and height); both must be above 0; correct the lens"
+            f"{entry.label} has a focal length of {lens.focal:g} widths of the picture, whose "
+            f"shape is {lens.shape:g}; both must be above 0; correct the lens"
         )
     if lens.size:
         width, height = lens.size

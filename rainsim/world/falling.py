@@ -99,6 +99,7 @@ def _drops(time, field, surfaces, camera, render):
     classes = np.clip(classes, 0, len(reach) - 1)
     depth = camera_points(camera, found.position)[:, 2]
     shown = _in_view(camera, found.position) & (depth < reach[classes])
+    shown &= found.position[:, 2] > surfaces.ground.min()  # beside the map nothing stops them
     place, velocity = found.position[shown], found.velocity[shown]
     falls = np.zeros(len(place), bool)
     _mark_falling(place - velocity * time, velocity, time, surfaces.height_fields(), falls)

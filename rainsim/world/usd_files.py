@@ -20,7 +20,7 @@ WORLD = "world.usda"
 
 
 class Clock(NamedTuple):
-    """The frames of a stage: number of the first, how many, and frames a second."""
+    """The frames of a stage: number of the first, how many (0 if nothing moves), frames/s."""
 
     first: float
     count: int
@@ -57,7 +57,8 @@ def _dress(layer, clock):
     layer.pseudoRoot.SetInfo("upAxis", "Z")
     layer.pseudoRoot.SetInfo("metersPerUnit", 1.0)
     layer.pseudoRoot.SetInfo("renderSettingsPrimPath", SETTINGS)
-    layer.startTimeCode, layer.endTimeCode = clock.first, clock.code(clock.count - 1)
+    if clock.count:
+        layer.startTimeCode, layer.endTimeCode = clock.first, clock.code(clock.count - 1)
     layer.framesPerSecond = layer.timeCodesPerSecond = clock.fps
 
 

@@ -49,7 +49,8 @@ def write_parts(folder, scene, terrain, cameras, config, parts, first, tell):
     notes : list of str
         What the files do not have.
     """
-    clock = Clock(first, config.frames, config.fps)
+    moves = not {"camera", "water", "rain"}.isdisjoint(parts)
+    clock = Clock(first, config.frames if moves else 0, config.fps)
     cameras = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     layers, notes = {}, []
     if "camera" in parts:
