@@ -72,14 +72,14 @@ def falling_at(state, field, surfaces, camera, render, film):
         Water on what is not the ground, see `splash_pass.draw_splashes`.
     """
     spray, _ = spray_seen(state.throws, state.throw_id, camera, state.time, render.exposure)
-    more = np.concatenate([drips_seen(state.drips, state.time, MOMENT), spray])
-    more = more[_in_view(camera, more[:, :3])]
-    none = np.zeros((0, COLUMNS))
     if field is None:
-        return Falling(more, none, none)
+        none = np.zeros((0, COLUMNS))
+        return Falling(spray, none, none)
+    drips = drips_seen(state.drips, state.time, MOMENT)
+    drips = drips[_in_view(camera, drips[:, :3])]
     drops = _drops(state.time, field, surfaces, camera, render)
     droplets, crowns = _splashes(state, field, surfaces, camera, render, film)
-    return Falling(np.concatenate([drops, more]), droplets, crowns)
+    return Falling(np.concatenate([drops, drips, spray]), droplets, crowns)
 
 
 def _in_view(camera, place, margin=BESIDE):
