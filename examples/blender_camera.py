@@ -1,13 +1,10 @@
 """Write the active camera of a Blender scene for `rainsim run --path`, frame by frame.
 
-In Blender: workspace Scripting, Open, Run Script; camera.json is written beside the .blend. Without
-a window:
-
-    blender -b shot.blend --python blender_camera.py -- camera.json
+In Blender: workspace Scripting, Open, Run Script; camera.json is written beside the .blend. Or:
+blender -b shot.blend --python blender_camera.py -- camera.json
 """
 
 import json
-import os
 import sys
 
 
@@ -29,18 +26,18 @@ def lens_of(camera, width, height, pixel):
 
 
 def main(out=None):
-    """Write the file `out`."""
+    """Write the file `out`; without a name the one that is typed after two hyphens."""
     import bpy
 
+    if "--" in sys.argv and out is None:
+        out = sys.argv[sys.argv.index("--") + 1]
     scene, camera = bpy.context.scene, bpy.context.scene.camera
     out = out or bpy.path.abspath("//camera.json")
     if camera is None or camera.data.type != "PERSP":
         raise SystemExit("the scene has no active perspective camera; choose one, run this again")
     render, kept, frames = scene.render, scene.frame_current, []
-    width, height = (
-        int(side * render.resolution_percentage / 100)
-        for side in (render.resolution_x, render.resolution_y)
-    )
+    sides = render.resolution_x, render.resolution_y
+    width, height = (int(side * render.resolution_percentage / 100) for side in sides)
     pixel = render.pixel_aspect_y / render.pixel_aspect_x
     for number in range(scene.frame_start, scene.frame_end + 1, scene.frame_step):
         scene.frame_set(number)
@@ -51,15 +48,14 @@ def main(out=None):
         })  # fmt: skip
     scene.frame_set(kept)
     shot = {
-        "camera": camera.name, "up_axis": "Z",
-        "meters_per_unit": scene.unit_settings.scale_length,
+        "camera": camera.name, "meters_per_unit": scene.unit_settings.scale_length, "up_axis": "Z",
         "fps": render.fps / render.fps_base / scene.frame_step,
         "first_frame": scene.frame_start,
     }  # fmt: skip
     with open(out, "w", encoding="utf-8") as file:
         json.dump({"shot": shot, "w": width, "h": height, "frames": frames}, file)
-    print(f"{len(frames)} frames of {camera.name} in {os.path.abspath(out)}")
+    print(f"{len(frames)} frames of {camera.name} in {out}")
 
 
 if __name__ == "__main__":
-    main(*(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []))
+    main()
