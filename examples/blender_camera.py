@@ -29,12 +29,11 @@ def main(out=None):
     """Write the file `out`; without a name the one that is typed after two hyphens."""
     import bpy
 
-    if "--" in sys.argv and out is None:
-        out = sys.argv[sys.argv.index("--") + 1]
+    typed = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+    out = out or (typed or [bpy.path.abspath("//camera.json")])[0]
     scene, camera = bpy.context.scene, bpy.context.scene.camera
-    out = out or bpy.path.abspath("//camera.json")
     if camera is None or camera.data.type != "PERSP":
-        raise SystemExit("the scene has no active perspective camera; choose one, run this again")
+        raise SystemExit("the scene has no active perspective camera; choose one")
     render, kept, frames = scene.render, scene.frame_current, []
     sides = render.resolution_x, render.resolution_y
     width, height = (int(side * render.resolution_percentage / 100) for side in sides)
