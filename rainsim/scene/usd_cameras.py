@@ -38,20 +38,18 @@ def read_usd(path, name=None):
     require_usd(f"{path} is USD; reading it")
     from pxr import Usd, UsdGeom, UsdUtils
 
-    with np.errstate(all="ignore"):
-        _quiet = UsdUtils.CoalescingDiagnosticDelegate()  # warnings of the library are not ours
-        stage = _opened(path)
-        prims = [
-            prim
-            for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
-            if prim.IsA(UsdGeom.Camera)
-        ]
-        names = [str(prim.GetPath()) for prim in prims]
-        index = require_chosen(names, name, path)
-        world = _world_of(stage, path)
-        times = _times(stage, prims[index], world, path)
-        cameras = [_camera(path, stage, prims[index], time) for time in times]
-        del _quiet
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # it keeps the library's warnings to itself
+    stage = _opened(path)
+    prims = [
+        prim
+        for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+        if prim.IsA(UsdGeom.Camera)
+    ]
+    index = require_chosen([str(prim.GetPath()) for prim in prims], name, path)
+    world = _world_of(stage, path)
+    times = _times(stage, prims[index], world, path)
+    cameras = [_camera(path, stage, prims[index], time) for time in times]
+    del quiet
     per_frame = stage.GetTimeCodesPerSecond() / (world.fps or stage.GetTimeCodesPerSecond())
     first = times[0] / per_frame if np.isfinite(times[0]) else 0.0
     return cameras, world._replace(first=float(first))
