@@ -261,7 +261,7 @@ CONTENTS = {
     "Begin": "start capture recipes gallery limits compared",
     "Roads": "roads/film roads/perception roads/hydraulics",
     "Subjects": "concepts conventions ground water rain light wet splatting lanes layers actors "
-    "big datasets sensors view cuda many_machines",
+    "worlds big datasets sensors view cuda many_machines",
     "Reference": "reference/commands reference/settings reference/files reference/python "
     "reference/counts architecture",
     "Measurements": "measurements measurements/frame-cpu measurements/frame-gpu "

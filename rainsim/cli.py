@@ -10,7 +10,18 @@ import errno
 import click
 
 from rainsim import __version__
-from rainsim.commands import bench, doctor, export, film, heightmap, lidar, splat, tools, view
+from rainsim.commands import (
+    bench,
+    doctor,
+    export,
+    film,
+    heightmap,
+    lidar,
+    splat,
+    tools,
+    view,
+    world,
+)
 from rainsim.commands.status import interrupts_remembered
 from rainsim.errors import ParameterError, RainsimError, one_line
 
@@ -96,6 +107,7 @@ for _command in (
     film.render,
     splat.splat,
     export.export,
+    world.world,
     lidar.lidar,
     view.view,
     tools.scenes,

@@ -246,7 +246,8 @@ class RainField:
         Parameters
         ----------
         time : float [s]
-        low, high : array_like of shape (3,) [m]
+        low, high : array_like of shape (3,) or (CLASSES, 3) [m]
+            Of each class if they differ: cubes of a class that touch its own box are listed.
 
         Returns
         -------
@@ -254,10 +255,11 @@ class RainField:
         """
         time = require_finite("time", time)
         low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
-        if low.shape != (3,) or high.shape != (3,):
+        if low.shape != high.shape or low.shape not in ((3,), (CLASSES, 3)):
             raise ParameterError("a box is its low and its high corner, three numbers each")
         drift = self.velocity * time
         first, last = self.cube_range(low - drift, high - drift)
+        low, high = low.reshape(-1, 3).min(axis=0), high.reshape(-1, 3).max(axis=0)
         tasks = slab_tasks(first, last)
         cubes = np.prod(last - first + 1, axis=1)[tasks[:, 0]] / (last - first + 1)[tasks[:, 0], 0]
         expected = (self.listed.density * self.cube**3)[tasks[:, 0]] * cubes

@@ -51,9 +51,11 @@ MOST_LAYERS = 26  # AOVs of a picture's labels, and those of two that are being 
 @click.option(
     "--path",
     type=FILE,
-    metavar="transforms.json",
-    help="A camera path instead: its views follow one another in time, and have flow.",
+    metavar="FILE",
+    help="A camera path instead, as `rainsim run` takes it: its views follow one another in time, "
+    "and have flow.",
 )
+@options.shot_options
 @click.option(
     "--drive", is_flag=True, help="The chosen views follow one another in time, and have flow."
 )
@@ -151,7 +153,7 @@ def export(
     with status, compiled_beside(status, uses, config.threads):
         loaded = loaded_scene(status, scene, given)
         out = out or options.default_out(loaded.name, layout)
-        cameras = _cameras(loaded, config, given)
+        cameras = _cameras(status, loaded, config, given)
         plan = _plan(status, loaded, cameras, lens, rates, config, layout, given)
         card = _write(
             status, loaded, plan, config, layout=layout, out=out, overwrite=overwrite,
@@ -181,15 +183,20 @@ def rains_of(text):
     return tuple(rates)
 
 
-def _cameras(scene, config, given):
+def _cameras(status, scene, config, given):
     """Return the data set's cameras, sized, in the capture frame."""
-    from rainsim.commands.given import named_camera
+    from rainsim.commands.given import named_camera, shot_cameras, shot_in
     from rainsim.scene.cameras import read_cameras, resize_to
     from rainsim.surface.offered_views import with_offered_cameras
 
     views, scene = given["views"], with_offered_cameras(scene)
     if given["path"] is not None:
-        cameras = read_cameras(given["path"])
+        shot = shot_in(given, config.fps)
+        if shot is None:
+            cameras = read_cameras(given["path"])
+        else:
+            cameras, notes = shot_cameras(shot, scene, given, config.fps)
+            status.notes(notes)
     elif views == "all" or (given["drive_speed"] is not None and _number_of(views, scene)):
         cameras = scene.cameras
     elif _number_of(views, scene):

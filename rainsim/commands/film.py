@@ -68,7 +68,7 @@ def run(
     uses = uses_of(scene, config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
         loaded = loaded_scene(status, scene, given)
-        cameras, config = cameras_of(loaded, config, given)
+        cameras, config = cameras_of(loaded, config, given, say=status.notes)
         _say_moments(status, config)
         _require_memory(loaded, cameras, names, backend, optics)  # without the map's cells
         out = out or options.default_out(loaded.name, Path(preset).stem)
@@ -258,7 +258,7 @@ def render(
             f"the states in {states} were made for other splats than scene {loaded.name}; both "
             "must be of one capture; give the right --scene, or simulate again"
         )
-    cameras, config = cameras_of(loaded, config, given, most=config.frames)
+    cameras, config = cameras_of(loaded, config, given, config.frames, status.notes)
     _say_moments(status, config)
     out = out or options.default_out(states.resolve().name, "frames")
 

@@ -28,7 +28,7 @@ def settings(preset, given, base=None):
     """Return the checked Config of a preset with the options that were given on top.
 
     Without a preset `base` is taken. `given` has values in the command line's units by option name;
-    None is not given.
+    None is not given. A path that is given as `cameras` stands under `path` afterwards.
     """
     from rainsim.config.settings import Config
     from rainsim.config.tables import OPTION_KEYS
@@ -46,10 +46,54 @@ def settings(preset, given, base=None):
         changes.setdefault("width", None)  # follows from the camera's shape
     config = Config.from_preset(preset) if base is None else base
     config = config.replace(**changes)
+    _shot_as_path(given)
+    if base is None and given.get("fps") is None:
+        shot = shot_in(given, config.fps)
+        if shot is not None and shot.fps:
+            config = config.replace(fps=shot.fps)
     if base is None and config.frame_range and "frames" not in changes and _path_says(given):
         # The path's length is known once it is read: `cameras_of` checks the range by it.
         config = config.replace(frames=max(config.frames, config.frame_range[1]))
     return config.check()
+
+
+def _shot_as_path(given):
+    """Take a --cameras that is a `Shot` as the --path of a command that has one."""
+    from rainsim.scene.shot import is_shot
+
+    cameras = given.get("cameras")
+    if "path" in given and isinstance(cameras, Path) and is_shot(cameras):
+        if given["path"] is not None:
+            raise ParameterError(
+                f"--cameras {cameras.name} is a path and --path is given, too; the path must be "
+                "given in one way; leave one out"
+            )
+        given["path"], given["cameras"] = cameras, None
+
+
+def shot_in(given, fps):
+    """Return the `Shot` that --path names, None of other files; `fps` [1/s] is that of the run."""
+    from rainsim.scene.shot import read_shot
+
+    path, name, frame = (given.get(key) for key in ("path", "path_camera", "path_in"))
+    shot = None if path is None else read_shot(path, name, fps, frame == "capture")
+    for key, value in (("camera", name), ("in", frame)):
+        if shot is None and value is not None:
+            raise ParameterError(
+                f"--path-{key} {value} is about a --path of USD, glTF or Blender; there is none; "
+                "leave it out"
+            )
+    return shot
+
+
+def shot_cameras(shot, scene, given, fps):
+    """Return the cameras of a `Shot` in the capture frame, and notes on them; `fps` in 1/s."""
+    notes = list(shot.notes)
+    if shot.fps and abs(shot.fps - fps) > 1e-6 * fps:
+        notes.append(f"the path has {shot.fps:g} frames/s and is drawn at {fps:g}")
+    if given.get("path_in") == "capture":
+        return list(shot.cameras), notes
+    return [scene.ground_frame.camera_in_capture(camera) for camera in shot.cameras], notes
 
 
 def _path_says(given):
@@ -75,6 +119,7 @@ def scene_of(name, given):
 
     names = ("cameras", "up", "meters_per_unit", "camera_height", "ground_frame")
     given = dict(given)
+    _require_own_cameras(given.get("cameras"))
     length = given.get("known_length")
     if length is not None:
         for other in ("meters_per_unit", "camera_height"):
@@ -100,6 +145,17 @@ def scene_of(name, given):
     return scene
 
 
+def _require_own_cameras(cameras):
+    """Raise ParameterError for a file of a --path where cameras of the capture are meant."""
+    from rainsim.scene.shot import is_shot
+
+    if isinstance(cameras, Path) and is_shot(cameras):
+        raise ParameterError(
+            f"--cameras {cameras} is a camera of a film; here the capture's own cameras are meant; "
+            "draw along it with `rainsim run --path`"
+        )
+
+
 def scene_to_look_at(name, given):
     """Load a scene as `scene_of` does, or with an offered ground frame where it has none.
 
@@ -107,6 +163,7 @@ def scene_to_look_at(name, given):
     """
     from rainsim.errors import GroundError
 
+    _require_own_cameras(given.get("cameras"))
     try:
         return scene_of(name, given), False
     except GroundError:
@@ -194,11 +251,12 @@ def check_camera_options(given):
         )
 
 
-def cameras_of(scene, config, given, most=None):
+def cameras_of(scene, config, given, most=None, say=None):
     """Return the frames' cameras in the frames' size, and the Config with their number of frames.
 
     There is a camera for each frame or one for all. `given` has camera, path, orbit, drive, eye,
     look_at, fov and frames as they were typed; a path of more than `most` frames is cut to them.
+    `say` is called with notes on a path.
     """
     from rainsim.demo_scenes import FIRST_VIEWS
     from rainsim.scene.cameras import orbit, read_path
@@ -208,7 +266,13 @@ def cameras_of(scene, config, given, most=None):
     if given.get("eye") is not None:
         cameras = [_placed(scene, config, given)]
     elif given.get("path") is not None:
-        path, moments = read_path(given["path"])
+        shot = shot_in(given, config.fps)
+        if shot is None:
+            path, moments = read_path(given["path"])
+        else:
+            (path, notes), moments = shot_cameras(shot, scene, given, config.fps), ()
+            if say is not None:
+                say(notes)
         cameras, config = _one_per_frame(path, given["path"], config, given, most)
         if len(moments) >= config.frames:
             config = config.replace(moments=moments[: config.frames])

@@ -116,8 +116,9 @@ ground_options = group(
     click.option(
         "--cameras",
         type=FILE,
-        metavar="FILE.json",
-        help="cameras.json or transforms.json instead of the one beside the splats.",
+        metavar="FILE",
+        help="cameras.json or transforms.json instead of the one beside the splats. A camera of "
+        "USD, glTF or Blender is taken as --path.",
     ),
     click.option(
         "--up",
@@ -183,6 +184,15 @@ eye_options = group(
     click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units."),
 )
 
+shot_options = group(
+    click.option("--path-camera", metavar="NAME",
+                 help="Which camera of a USD or glTF file with several: its name or whole path."),
+    click.option("--path-in", type=click.Choice(["ground", "capture"]), show_default="ground",
+                 help="Coordinates of a camera of USD, glTF or Blender: ground, those that "
+                 "`rainsim world` writes, in metres with z up; capture, the splats' own, and the "
+                 "numbers count as they stand."),
+)  # fmt: skip
+
 camera_options = group(
     click.option(
         "--camera",
@@ -192,10 +202,12 @@ camera_options = group(
     click.option(
         "--path",
         type=FILE,
-        metavar="transforms.json",
-        help="A camera path, one camera per frame: transforms.json, or a camera_path.json of "
-        "`rainsim view` or nerfstudio. A single camera stands still for --frames.",
+        metavar="FILE",
+        help="A camera path, one camera per frame: transforms.json, a camera_path.json of "
+        "`rainsim view` or nerfstudio, or a camera of USD, glTF or Blender. A single camera stands "
+        "still for --frames.",
     ),
+    shot_options,
     click.option(
         "--orbit",
         is_flag=True,
@@ -263,8 +275,9 @@ shower_options = group(  # for commands whose --rain takes several rates
     _of_setting("seed"),
 )
 
+size_options = _of_panel("picture")
 picture_options = group(
-    _of_panel("picture"),
+    size_options,
     click.option("--video", is_flag=True,
                  help="Also write video.mp4, or video.mov for ProRes (needs rainsim[video])."),
     click.option("--video-codec", type=click.Choice(["h264", "h265", "prores"]),

@@ -16,6 +16,7 @@ OURS = re.compile(
     r"|(scene|ground_frame|simulation|transforms)\.json|(bed|top)\.tif|puddles-\d+mm\.png"
     r"|(hillshade|classes|check)\.png|video\.(mp4|mov)|finished\.jsonl|lod-meta\.json"
     r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|(env|\d+_\d+)/\w+\.(webp|json)"
+    r"|(world|camera)\.usda|(ground|water|rain|capture)\.usdc|ground\.glb"
     r"|exr/[A-Za-z0-9_-][A-Za-z0-9_.-]*\.exr"
 )
 JOURNAL = "finished.jsonl"  # which frames or states are finished

@@ -39,6 +39,7 @@ cuda
 backend
 output_folder
 pipeline
+world
 farm
 sensors
 datasets

@@ -19,7 +19,7 @@ NAME = re.compile(r"\.?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*(\([\w, ]*\))?")  # of a thi
 # Ends of file names: the files of others' formats and those that are written need not exist here.
 DATA = {"bin", "exr", "hdr", "jpg", "json", "npy", "npz", "ply", "png", "sog", "splat", "spz",
         "tif", "tiff", "toml", "txt", "webp", "webm", "mov", "mp4", "ksplat", "csv", "xml",
-        "cfg"}  # fmt: skip
+        "cfg", "usd", "usda", "usdc", "usdz", "glb", "gltf", "blend"}  # fmt: skip
 ELSEWHERE = {"numpy", "np", "numba", "scipy", "click", *sys.stdlib_module_names}
 # Words of file formats and of other programs, named in texts only.
 WORDS_OF_OTHERS = {"ruff", "pytest", "_out", "rainsim.bench.NAME"}

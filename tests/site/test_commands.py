@@ -20,7 +20,8 @@ from site_pages import PAGES, ROOT, blocks, commands, name_of
 
 FOREIGN = {  # words of commands that do not run here, and what they need
     "cuda": "a GPU", "--scheduler": "a scheduler", "--video": "the extra video",
-    "--exr": "the extra exr", "npm": "another program",
+    "--exr": "the extra exr", "world": "the extra usd", "shot.usda": "a camera of Blender",
+    "npm": "another program",
 }  # fmt: skip
 QUICK = ("docs/roads/hydraulics.md",)
 NAMES = ("DSC07956", "DSC07960")  # of cameras that pages ask for

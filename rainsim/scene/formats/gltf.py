@@ -27,6 +27,7 @@ PREFIX = EXTENSION + ":"
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 MOST_JSON = 1 << 26  # bytes; a capture in tiles has some thousands of nodes
 MOST_NODES = 1 << 16
+DEEPEST = 256  # nodes one in the other
 COLORS = "srgb_rec709_display"
 DEFAULTS = {"kernel": "ellipse", "projection": "perspective", "sortingMethod": "cameraDistance"}
 TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -39,7 +40,7 @@ UNEVEN = 1e-5  # relative difference of scales up to which they are one
 
 
 @dataclass(frozen=True, slots=True)
-class _Model:
+class Model:
     """The JSON and the binary chunk of a file; values are taken out only after a check."""
 
     path: object
@@ -47,6 +48,7 @@ class _Model:
     binary: memoryview
 
     def wrong(self, what):
+        """Return the InputError for a fault of the file."""
         return InputError(f"{self.path}: {what}; {REMEDY}")
 
     def item(self, kind, index):
@@ -74,7 +76,7 @@ class _Model:
 
 def read_glb(path, max_broken):
     """Return the Splats of a binary glTF, notes and how many splats were dropped."""
-    model = _opened(path)
+    model = opened(path)
     required = model.indices(model.data, "extensionsRequired")
     foreign = [name for name in required if name not in KNOWN]
     if foreign:
@@ -102,8 +104,8 @@ def read_glb(path, max_broken):
     return splats, [*notes, *dropped_note(broken, len(splats))], broken
 
 
-def _opened(path):
-    """Return the Model of a file."""
+def opened(path):
+    """Return the `Model` of a binary file."""
     data = memoryview(path.read_bytes())
     if len(data) < HEADER.size + CHUNK.size:
         raise InputError(f"{path} ends within its header; {REMEDY}")
@@ -131,7 +133,7 @@ def _opened(path):
         raise InputError(f"{path} has JSON that cannot be read; {REMEDY}") from None
     if not isinstance(tree, dict):
         raise InputError(f"{path} has JSON that is no object; {REMEDY}")
-    return _Model(path, tree, chunks.get(b"BIN\0", memoryview(b"")))
+    return Model(path, tree, chunks.get(b"BIN\0", memoryview(b"")))
 
 
 # --- nodes ----------------------------------------------------------------------------------------
@@ -139,10 +141,28 @@ def _opened(path):
 
 def _instances(model):
     """Return each mesh of the shown scene with the matrix (4, 4) that places it."""
-    nodes = model.data.get("nodes")
-    if not nodes:
+    if not model.data.get("nodes"):
         count = len(model.indices(model.data, "meshes"))
         return [(model.item("meshes", number), np.eye(4)) for number in range(count)]
+    found = []
+    for chain in node_chains(model):
+        nodes = [model.item("nodes", number) for number in chain]
+        if "mesh" in nodes[-1]:
+            found.append((model.item("meshes", nodes[-1]["mesh"]), place_of(model, nodes)))
+    return found
+
+
+def place_of(model, nodes):
+    """Return the matrix (4, 4) of the last of some nodes, each the parent of the next."""
+    place = np.eye(4)
+    for node in nodes:
+        place = place @ node_matrix(model, node)
+    return place
+
+
+def node_chains(model):
+    """Return of each node of the shown scene the numbers from the root's down to its own."""
+    nodes = model.data.get("nodes", [])
     if not isinstance(nodes, list) or len(nodes) > MOST_NODES:
         raise model.wrong(f"nodes must be a list of at most {MOST_NODES}")
     if model.data.get("scenes"):
@@ -151,22 +171,22 @@ def _instances(model):
         children = (model.indices(model.item("nodes", n), "children") for n in range(len(nodes)))
         below = {child for some in children for child in some if isinstance(child, int)}
         roots = [n for n in range(len(nodes)) if n not in below]
-    found, seen, waiting = [], set(), [(root, np.eye(4)) for root in reversed(roots)]
+    found, seen, waiting = [], set(), [(root, ()) for root in reversed(roots)]
     while waiting:
         number, above = waiting.pop()
-        node = model.item("nodes", number)
+        node, chain = model.item("nodes", number), (*above, number)
         if number in seen:
             raise model.wrong(f"node {number} is reached twice; nodes must be a tree")
+        if len(chain) > DEEPEST:
+            raise model.wrong(f"nodes stand in one another more than {DEEPEST} deep")
         seen.add(number)
-        place = above @ _matrix(model, node)
-        if "mesh" in node:
-            found.append((model.item("meshes", node["mesh"]), place))
+        found.append(chain)
         children = model.indices(node, "children")
-        waiting += [(child, place) for child in reversed(children)]
+        waiting += [(child, chain) for child in reversed(children)]
     return found
 
 
-def _matrix(model, node):
+def node_matrix(model, node):
     """Return the matrix (4, 4) of a node: its own, or of its translation, rotation and scale."""
 
     def numbers(key, default):
@@ -234,7 +254,7 @@ def _read(model, primitive, place):
     def values(name, width):
         if name not in attributes:
             raise model.wrong(f"a primitive of splats lacks {name}")
-        return _values(model, attributes[name], count, width)
+        return values_of(model, attributes[name], count, width)
 
     matrix = HALF_TURN @ place[:3, :3]
     rotation, scales = _decomposed(model, matrix)
@@ -293,7 +313,7 @@ def _placed(turn, scale, rotation, scales):
 # --- accessors ------------------------------------------------------------------------------------
 
 
-def _values(model, index, count, width):
+def values_of(model, index, count, width):
     """Return the values of an accessor as (count, width) float32; whole numbers as it says."""
     accessor = model.item("accessors", index)
     if "sparse" in accessor or "bufferView" not in accessor:
@@ -304,7 +324,7 @@ def _values(model, index, count, width):
     if not isinstance(wide, str) or WIDTHS.get(wide) != width:
         raise model.wrong(f"an accessor is {shown(wide)}; its values must have {width} parts")
     if model.whole(accessor, "count", None, 1 << 31) != count:
-        raise model.wrong(f"an accessor has {accessor['count']} values; its splats are {count}")
+        raise model.wrong(f"an accessor has {accessor['count']} values; there must be {count}")
     view = model.item("bufferViews", accessor["bufferView"])
     if view.get("buffer") != 0 or "uri" in model.item("buffers", 0):
         raise model.wrong("data lies in another file; it must lie in the binary chunk")

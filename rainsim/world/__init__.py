@@ -1,0 +1,1 @@
+"""A scene in the rain as files that other programs render: USD stages, and the ground as glTF."""

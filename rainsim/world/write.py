@@ -1,0 +1,100 @@
+"""All files of a scene in the rain for other renderers, frame by frame."""
+
+from __future__ import annotations
+
+from rainsim.drops import Weather
+from rainsim.particles.splash import LONGEST_LIFE, WET_FILM
+from rainsim.pipeline import frames_of, simulate
+from rainsim.shading.wetness import paving_dampness
+from rainsim.simulation import surfaces_of
+from rainsim.world.falling import falling_at
+from rainsim.world.meshes import ground_mesh, water_mesh, write_glb
+from rainsim.world.usd_files import (
+    WORLD,
+    Clock,
+    RainLayer,
+    WaterLayer,
+    camera_layer,
+    capture_layer,
+    ground_layer,
+    write_world,
+)
+
+CAMERA, GROUND, WATER = "camera.usda", "ground.usdc", "water.usdc"
+RAIN, CAPTURE, GLB = "rain.usdc", "capture.usdc", "ground.glb"
+
+
+def write_parts(folder, scene, terrain, cameras, config, parts, first, tell):
+    """Write the parts of a scene in the rain into a folder.
+
+    Parameters
+    ----------
+    folder : Path
+    scene : Scene
+    terrain : Terrain
+    cameras : sequence of Camera
+        One per frame or one for all, in the capture frame.
+    config : Config
+    parts : sequence of str
+        Among camera, ground, water, rain and capture.
+    first : float
+        Number of the first frame.
+    tell : callable
+        tell(stage, done, total) as frames go on.
+
+    Returns
+    -------
+    names : list of str
+        Of the files.
+    notes : list of str
+        What the files do not have.
+    """
+    moves = not {"camera", "water", "rain"}.isdisjoint(parts)
+    clock = Clock(first, config.frames if moves else 0, config.fps)
+    cameras = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
+    layers, notes = {}, []
+    if "camera" in parts:
+        layers[CAMERA] = camera_layer(cameras, clock, config.render.exposure)
+    if "ground" in parts:
+        ground = ground_mesh(terrain)
+        layers[GROUND] = ground_layer(ground, clock)
+        write_glb(folder / GLB, ground)
+    if "capture" in parts:
+        layers[CAPTURE] = capture_layer(scene, clock)
+        notes += _left_out(scene)
+    if "water" in parts:
+        layers[WATER] = WaterLayer(clock)
+    if "rain" in parts:
+        layers[RAIN] = RainLayer(clock)
+    if WATER in layers or RAIN in layers:
+        _fill(layers.get(WATER), layers.get(RAIN), terrain, cameras, config, clock, tell)
+    for name, layer in layers.items():
+        layer.write(folder / name)
+    write_world(folder / WORLD, layers, clock)
+    return [WORLD, *layers, *([GLB] if "ground" in parts else [])], notes
+
+
+def _left_out(scene):
+    notes = []
+    if scene.pages is not None:
+        notes.append("of this big capture a coarse level of the whole is written")
+    if scene.actors:
+        notes.append(f"the {len(scene.actors)} actors are not written; the capture is what stands")
+    return notes
+
+
+def _fill(water, rain, terrain, cameras, config, clock, tell):
+    """Add each frame's water and rain to their layers; None for a layer that is not wanted."""
+    weather, surfaces, done = Weather(config), surfaces_of(terrain), 0
+    for state in frames_of(simulate(terrain, config), config, tell):
+        code = clock.code(state.index)
+        if water is not None:
+            water.add(code, water_mesh(terrain, state.depth, state.velocity))
+        if rain is not None:
+            now = config.at(state.time)
+            field = weather.field(state.time - LONGEST_LIFE, state.time + now.render.exposure)
+            camera = cameras[0 if len(cameras) == 1 else state.index]
+            film = WET_FILM * paving_dampness(now)
+            rain.add(code, falling_at(state, field, surfaces, camera, now.render, film))
+        done += 1
+        tell("frames", done, config.frames)
