@@ -409,11 +409,10 @@ class Rasterizer:
                 levels, record, key, value, self._total,
             )  # fmt: skip
         taken.sort()
-        key, value = key_sorted, value_sorted
         tiles = len(self._range) // 2
         begin, end = self._range[:tiles], self._range[tiles:]
         project.find_ranges[-(-len(key) // THREADS), THREADS, stream](
-            self._total, levels, key, value, record, begin, end
+            self._total, levels, key_sorted, value_sorted, record, begin, end, value
         )
         if divisor is not None:
             places = self.splats.chunks * LANES

@@ -11,7 +11,7 @@ from rainsim.cuda.jit import SIMULATED, cuda
 
 REPEATS = 1 if SIMULATED else 15
 NAP = 100_000  # ns
-NAPS = 40  # before the parts, so that the host has queued all parts when the first begins
+NAPS = 200  # before the parts, so that the host has queued all parts when the first begins
 
 
 @cuda.jit

@@ -346,11 +346,12 @@ def list_splats(
 
 
 @cuda_kernel
-def find_ranges(total, levels, key, value, record, begin_out, end_out):
+def find_ranges(total, levels, key, value, record, begin_out, end_out, value_out):
     """Find where each tile's entries lie, and put entries of one key in order.
 
     Keys hold a rounded depth. Among entries of one key the whole depth decides, then the splat's
-    number: so the order does not depend on that in which they were written.
+    number: so the order does not depend on that in which they were written. Each entry counts
+    those that come before it: a wall that faces the camera has hundreds of one key in a tile.
     """
     i = cuda.grid(1)
     n = min(np.int64(total[0]), key.size)
@@ -358,32 +359,26 @@ def find_ranges(total, levels, key, value, record, begin_out, end_out):
         return
     mine = key[i]
     tile = mine // np.uint32(levels)
-    before = key[i - 1] if i > 0 else FREE
-    after = key[i + 1] if i + 1 < n else FREE
-    if i == 0 or before // np.uint32(levels) != tile:
+    if i == 0 or key[i - 1] // np.uint32(levels) != tile:
         begin_out[tile] = i
-    if i + 1 == n or after // np.uint32(levels) != tile:
+    if i + 1 == n or key[i + 1] // np.uint32(levels) != tile:
         end_out[tile] = i + 1
-    if after != mine or i + 1 == n or (i > 0 and before == mine):
-        return
-    end = i + 2
+    entry, place, end = value[i], i, i + 1
+    while place > 0 and key[place - 1] == mine:
+        place -= 1
     while end < n and key[end] == mine:
         end += 1
-    for a in range(i + 1, end):
-        entry = value[a]
+    if end - place > 1:
         splat = np.int64(entry) & SPLAT_MASK
         depth, rest = record[RECORD * splat + 9], record[RECORD * splat + 14]
-        b = a - 1
-        while b >= i:
-            other = np.int64(value[b]) & SPLAT_MASK
+        for j in range(place, end):
+            other = np.int64(value[j]) & SPLAT_MASK
             there, more = record[RECORD * other + 9], record[RECORD * other + 14]
             if there < depth or (
                 there == depth and (more < rest or (more == rest and other < splat))
             ):
-                break
-            value[b + 1] = value[b]
-            b -= 1
-        value[b + 1] = entry
+                place += 1
+    value_out[place] = entry
 
 
 @cuda_kernel
