@@ -289,6 +289,7 @@ class Rasterizer:
             if not self.grow():
                 break
         layers = self.layers.to_host(*size)
+        self.make_ahead()
         if hit:
             self.update(camera, near, plane, "median", compensate, degree, drop_last, detail=detail)
             digits = []

@@ -170,7 +170,8 @@ def test_room_that_was_not_taken_is_given_back():
 
 def test_room_is_left_for_what_any_of_several_pictures_took():
     rasterizer = twin.Rasterizer(raster.prepare(cloud()))
-    rasterizer.draw(camera(), 0.2)
+    rasterizer.update(camera(), 0.2)
+    rasterizer.launch()
     room = rasterizer.room
     most = room.count[0] = 2000
     assert rasterizer.grow()
