@@ -124,6 +124,8 @@ class DeviceFrame:
         self.rasterizer.update(camera, capture.near, detail=capture.merge)
         passes.mirrors.update(camera, capture, inputs["mirror_step"])
         passes.ground_light.update(camera, conductor.ground_camera)
+        if passes.glare is not None:
+            passes.glare.update(conductor.ground_camera.fx)
         self._take_state(state)
         fog = passes.rain.update(state, camera_end)
         view = conductor.view
@@ -212,10 +214,12 @@ class DeviceFrame:
         f4, apart = np.float32, self.passes.ground_light.level is not None
         cover = cuda.device_array((height if apart else 1, width), f4)
         self._buffers["cover"] = cover if apart else cover[:0]
-        for name in ("picture", "shown", *(["below"] if apart else [])):
+        own = {"below": apart, "dazzling": self.passes.glare is not None}
+        for name in ("picture", "shown", *(name for name, is_own in own.items() if is_own)):
             self._buffers[name] = cuda.device_array((height, width, 3), f4)
-        if not apart:
-            self._buffers["below"] = self._buffers["picture"]
+        for name, same in (("below", "picture"), ("dazzling", "shown")):
+            if not own[name]:
+                self._buffers[name] = self._buffers[same]
         for name in ("depth", "clearance", "tall", "hit", "distance", "coverage", "no_rain"):
             self._buffers[name] = cuda.device_array((height, width), f4)
         self._buffers["bounds"] = cuda.device_array(bounds_of(height, width), f4)

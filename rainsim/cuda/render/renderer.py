@@ -115,7 +115,7 @@ def _require_known(render):
     for name, wanted in (
         ("reflections", ("auto", "mirror", "ssr")), ("water_geometry", ("height-field",)),
         ("refraction", ("snell",)), ("highlight", ("cox-munk",)), ("coverage", ("soft",)),
-        ("streaks", ("shutter",)), ("splashes", ("crowns",)), ("glare", ("off",)),
+        ("streaks", ("shutter",)), ("splashes", ("crowns",)),
     ):  # fmt: skip
         value = getattr(render, name)
         if value not in wanted:
