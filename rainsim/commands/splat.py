@@ -200,10 +200,8 @@ def draw(capture, camera, depth="expected", backend="cpu", render=None, **option
     from rainsim.lod.numbers import FinestNumbers
     from rainsim.lod.paged import rasterizer_of_scene
     from rainsim.raster import Rasterizer, prepare
-    from rainsim.scene.pages import require_whole
 
     if backend == "cuda":
-        require_whole(capture, "backend cuda", "take backend cpu")
         require_backend(backend)
         from rainsim.cuda.raster import Rasterizer
     if capture.pages is None:

@@ -10,7 +10,6 @@ is counted, and a picture with too many is drawn again with more room.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,9 +19,11 @@ from rainsim.cuda.driver import one_fault, prepare
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
+from rainsim.cuda.lod.room import DeviceRoom
 from rainsim.cuda.splatting import blend, project
 from rainsim.cuda.splatting.prepared import MOST_NUMBERS, DeviceSplats
-from rainsim.errors import ParameterError, require_choice
+from rainsim.cuda.splatting.sort import sorter
+from rainsim.errors import require_choice
 from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import FRUSTUM_MARGIN, NO_PLANE, TILE
 
@@ -211,13 +212,18 @@ class Rasterizer:
         Whether `recolor` and `put_actors` send what they take over.
     actors : PreparedSplats or None
         The merged set of `put_actors`.
+    chosen : ndarray of int64 or None
+        Of a `DeviceRoom` the chunks that are drawn, see `choose`.
     """
 
     def __init__(
         self, prepared, stream=None, plain=False, workspace=None, first_room=None, leading=False,
         aim=None,
     ):  # fmt: skip
-        self.splats = prepared if isinstance(prepared, DeviceSplats) else DeviceSplats(prepared)
+        self.splats = prepared
+        if not isinstance(prepared, DeviceSplats):
+            self.splats = (DeviceSplats if prepared.written is None else DeviceRoom)(prepared)
+        self.chosen, self._picked = None, (self.splats.span, self.splats.rank)
         self._take_chunks(leading)
         prepare()
         self.stream = cuda.stream() if stream is None else stream
@@ -264,22 +270,31 @@ class Rasterizer:
         """Send the actors that wait; the device must draw nothing meanwhile."""
         self.splats.put_actors(self.actors)
 
+    def choose(self, chunks):
+        """Draw some chunks of a `DeviceRoom` from now on; the device must be idle meanwhile."""
+        splats = self.splats
+        splats.send(chunks)
+        span = np.full((splats.chunks, 2), np.inf, np.float32)
+        rank = np.zeros(splats.chunks, np.int32)
+        span[chunks, 0], rank[chunks] = 0, np.arange(len(chunks))
+        if self.chosen is None or len(self._picked[0]) != len(span):
+            self._picked, self._taken = (cuda.to_device(span), cuda.to_device(rank)), None
+            self._version = new_version()
+        else:
+            for there, now in zip(self._picked, (span, rank), strict=True):
+                there.copy_to_device(now)
+        self.chosen = chunks
+        self._take_chunks(False)
+
     @one_fault()
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
         background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0, among=None,
     ):  # fmt: skip
-        """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`.
-
-        Raises
-        ------
-        ParameterError
-            If `among` is given.
-        """
+        """Return the `Layers` that `camera` sees, on the host; see `rainsim.raster`."""
         if among is not None:
-            raise ParameterError(
-                "backend cuda draws all chunks; parts of captures need the CPU; take backend cpu"
-            )
+            self.splats.aim_at(self.splats.host_box[among])
+            self.choose(among)
         size = camera.height, camera.width
         self.update(camera, near, plane, depth, compensate, degree, drop_last, detail=detail)
         self._take_chunks(leading)
@@ -306,7 +321,7 @@ class Rasterizer:
 
     def _take_chunks(self, leading):
         """Choose the chunks to draw: all, or only the `leading` ones."""
-        self._chunks = int(self.splats.leading if leading else self.splats.chunks)
+        self._chunks = int(self.splats.leading if leading else len(self._picked[0]))
 
     def update(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
@@ -354,7 +369,7 @@ class Rasterizer:
         space, (width, height) = self.workspace, self._size
         lists, layers = space.lists(self.room.size), space.pictures(width * height)
         records = space.records(self.splats.chunks)
-        sort = partial(_sort_on_host, *lists) if SIMULATED else _Sorter(*lists, self.stream, space)
+        sort = sorter(lists, self.stream, space)
         self._taken = Taken(space.version, lists, *records, layers, sort)
 
     def numbers_of(self, camera, near, plane=None, room=None, detail=0.0):
@@ -387,6 +402,7 @@ class Rasterizer:
         self._take()
         s, stream, chunks, taken = self.splats, self.stream, self._chunks, self._taken
         record, seen = taken.record, taken.seen[:chunks]
+        span, rank = self._picked
         width, height = self._size
         flat, compensate, median, drop = self._kind
         across = -(-width // TILE)
@@ -399,7 +415,7 @@ class Rasterizer:
         blocks = max(1, min(-(-max(len(key), chunks) // THREADS), 2048))
         blocks = max(blocks, -(-chunks // THREADS))
         project.start[blocks, THREADS, stream](
-            s.box[:chunks], s.span, s.around, now[: project.EYE].reshape(3, 4),
+            s.box[:chunks], span, s.around, now[: project.EYE].reshape(3, 4),
             now[project.LENS : project.PLANE], self.size, now[project.NEAR : project.LIMITS],
             now[project.PLANE : project.NEAR], flat, seen, key, self._range, self._total,
         )  # fmt: skip
@@ -413,7 +429,7 @@ class Rasterizer:
         tiles = len(self._range) // 2
         begin, end = self._range[:tiles], self._range[tiles:]
         project.find_ranges[-(-len(key) // THREADS), THREADS, stream](
-            self._total, levels, key_sorted, value_sorted, record, begin, end, value
+            self._total, levels, key_sorted, value_sorted, record, rank, begin, end, value
         )
         if divisor is not None:
             places = self.splats.chunks * LANES
@@ -464,34 +480,7 @@ class Rasterizer:
     def queue(self):
         """The values a recorded queue of launches depends on: when they change, record again."""
         kind = self._kind, self._bands, self.room.size
-        return self._version, *kind, self.workspace.version
-
-
-def _sort_on_host(key, value, key_out, value_out):
-    """Sort as `_Sorter` does, in the simulator, which has no such library."""
-    order = np.argsort(key.copy_to_host(), kind="stable")
-    for array, array_out in ((key, key_out), (value, value_out)):
-        array_out.copy_to_device(array.copy_to_host()[order])
-
-
-class _Sorter:
-    """cuda.compute's radix sort of a fixed number of pairs, with memory of the workspace."""
-
-    def __init__(self, key, value, key_out, value_out, stream, workspace):
-        from cuda.compute import SortOrder, make_radix_sort
-
-        arrays = {
-            "d_in_keys": key, "d_out_keys": key_out, "d_in_values": value,
-            "d_out_values": value_out,
-        }  # fmt: skip
-        self._sort = make_radix_sort(**arrays, order=SortOrder.ASCENDING)
-        self._options = {**arrays, "num_items": len(key), "begin_bit": 0, "end_bit": 32}
-        self._stream = stream
-        size = self._sort(temp_storage=None, stream=stream, **self._options)
-        self._memory = workspace.memory(max(1, int(size)))
-
-    def __call__(self):
-        self._sort(temp_storage=self._memory, stream=self._stream, **self._options)
+        return self._version, *kind, self.workspace.version, self.splats.version
 
 
 def rasterize(prepared, camera, near=0.01, **options):

@@ -41,6 +41,20 @@ class Page:
         return sum(getattr(p, name).nbytes for p in parts for name in (*ARRAYS, "order"))
 
 
+class Held:
+    """The pages that a picture is drawn of, which stay in their room until others are taken.
+
+    Attributes
+    ----------
+    chunks : ndarray of int64 or None
+        Places of their chunks in the order in which the picture takes them; another array whenever
+        they change.
+    """
+
+    def __init__(self):
+        self.chunks, self.pages, self.key = None, [], None
+
+
 class PagedRasterizer:
     """Draws the parts of a big capture that a camera needs, with the methods of a `Rasterizer`.
 
@@ -83,8 +97,7 @@ class PagedRasterizer:
         self.detail, self._rasterizer_of = detail * coarser, rasterizer_of
         self._compensate, self._numbers_of = compensate, numbers_of
         self._number = next(self._numbers)  # apart from other rasterizers of these pages
-        self._front, self._chosen, self._pages, self._chunks = None, None, [], None
-        self._rasterizer = None
+        self._front, self._fronts, self._held, self._rasterizer = None, 0, Held(), None
         self.room = room_for(pages) if room is None else room
         self.used = {}
 
@@ -93,26 +106,30 @@ class PagedRasterizer:
 
         Their numbers in `order` are 0 or more.
         """
-        self._front, self._chosen = None, None  # whose places are free now
+        self._front, self._fronts = None, self._fronts + 1  # whose places are free now
         if front is not None:
             self._front = Stored(self.room, front)
 
     def take_colors(self):
         """Prepare all pages again from now on: their colours are others."""
-        self._number, self._chosen = next(self._numbers), None
+        self._number = next(self._numbers)
 
     def draw(self, camera, near, plane=None, leading=False, threshold=None, **options):
         """Return the `Layers` that `camera` sees; the parameters are those of `Rasterizer.draw`.
 
         `threshold` [px] takes the place of `detail` for this picture.
         """
-        wanted = self.wanted(camera, near, plane, leading, threshold)
-        self._choose_chunks(wanted, leading)
-        prepared = replace(self.room.prepared, compensate=self._compensate)
+        self.hold(self._held, camera, near, plane, leading, threshold)
+        prepared = self.prepared
         if self._rasterizer is None:
             self._rasterizer = self._rasterizer_of(prepared)
         self._rasterizer.recolor(prepared)  # it may draw for others as well
-        return self._rasterizer.draw(camera, near, plane, among=self._chunks, **options)
+        return self._rasterizer.draw(camera, near, plane, among=self._held.chunks, **options)
+
+    @property
+    def prepared(self):
+        """All places of the room as `PreparedSplats`."""
+        return replace(self.room.prepared, compensate=self._compensate)
 
     def wanted(self, camera, near, plane=None, leading=False, threshold=None):
         """Return the runs that a camera needs, as (leaf, level) in the order of the index."""
@@ -131,9 +148,17 @@ class PagedRasterizer:
         used = {"splats": splats, "pages": len(wanted), "detail": detail}
         return ([(ALWAYS, 0), *wanted] if self.pages.always else wanted), used
 
-    def hold(self, camera, near):
+    def load(self, camera, near):
         """Load now the pages that a picture of a camera is drawn of."""
-        self._choose_chunks(self.wanted(camera, near), False)
+        self.hold(self._held, camera, near)
+
+    def hold(self, held, camera, near, plane=None, leading=False, threshold=None):
+        """Let `held` hold the pages of a picture; the other parameters are those of `draw`."""
+        self._take(held, self.wanted(camera, near, plane, leading, threshold), leading)
+
+    def let_go(self):
+        """Let go of the pages of the last picture."""
+        self._held = Held()
 
     def read_ahead(self, camera, near):
         """Begin to read the runs that a camera needs, on another thread."""
@@ -148,25 +173,24 @@ class PagedRasterizer:
         each = 4 * GEOMETRY + 12 * (self._coefficients - fine) + 6 * fine
         return max(int(self.pages.picture_memory / each), LANES)
 
-    def _choose_chunks(self, wanted, leading):
-        """Hold the pages of a picture, and list their chunks."""
-        chosen = tuple(wanted), leading
-        if chosen == self._chosen:
+    def _take(self, held, wanted, leading):
+        """Let `held` hold the pages of a picture, and list their chunks."""
+        key = self._number, self._fronts, tuple(wanted), leading
+        if key == held.key:
             return
         keys = [(self._number, leaf, level) for leaf, level in wanted]
         pages = self.pages.kept.get_all(keys)
         # Places of the last picture's other pages are free for those that are made now.
-        self._chosen, self._pages = None, [page for page in pages if page is not None]
+        held.key, held.pages = None, [page for page in pages if page is not None]
         missing = [n for n, page in enumerate(pages) if page is None]
         for k, n in enumerate(missing):
             self.pages.read_ahead([wanted[m] for m in missing[k + 1 : k + 1 + BESIDE]])
             pages[n] = self._made(keys[n])
-        self._pages = pages
         parts = [NO_CHUNKS] if self._front is None else [self._front.first]
-        parts += [page.first for page in self._pages]
+        parts += [page.first for page in pages]
         if not leading:
-            parts += [page.last for page in self._pages]
-        self._chunks, self._chosen = np.concatenate(parts), chosen
+            parts += [page.last for page in pages]
+        held.pages, held.chunks, held.key = pages, np.concatenate(parts), key
 
     def _made(self, key):
         """Return the page of a key (own number, leaf, level), made now."""

@@ -30,7 +30,8 @@ class ChunkRoom:
     """
 
     def __init__(self, most, chunks):
-        self._most, self._chunks, self.prepared = most, chunks, prepare(NOTHING)
+        self._most, self._chunks = most, chunks
+        self.prepared = replace(prepare(NOTHING), written=np.zeros(0, np.int64))
         self._next, self._free = 0, []
 
     def put(self, prepared):
@@ -44,6 +45,7 @@ class ChunkRoom:
         order = np.full(len(places) * LANES, NOBODY, np.int32)
         order[: len(prepared.order)] = prepared.order
         room.order.reshape(-1, LANES)[places] = order.reshape(-1, LANES)
+        room.written[places] += 1
         return places
 
     def free(self, places):
@@ -72,12 +74,15 @@ class ChunkRoom:
         for name in ARRAYS:
             own = getattr(like, name)
             arrays[name] = np.empty((least, *own.shape[1:]), own.dtype)
-        order = np.empty(least * LANES, np.int32)
+        order, written = np.empty(least * LANES, np.int32), np.zeros(least, np.int64)
+        written[: len(before.written)] = before.written
         if self._next:
             for name, array in arrays.items():
                 array[: self._next] = getattr(before, name)[: self._next]
             order[: self._next * LANES] = before.order[: self._next * LANES]
-        self.prepared = replace(like, **arrays, order=order, leading=None, compensate=False)
+        self.prepared = replace(
+            like, **arrays, order=order, leading=None, compensate=False, written=written
+        )
 
 
 def room_for(pages):

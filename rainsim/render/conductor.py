@@ -325,4 +325,4 @@ class Conductor:
         """Read now the chunks that a camera of the capture frame needs, if there are any."""
         capture = self.wet_scene.capture
         if capture.paged is not None:
-            capture.paged.whole.hold(camera, capture.near)
+            capture.paged.whole.load(camera, capture.near)

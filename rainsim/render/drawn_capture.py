@@ -215,10 +215,13 @@ class DrawnCapture:
             self._standing = self._rasterizer_of(standing)
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
         options = {}
-        if self.paged is not None:  # the pages of a picture at RESOLUTION, whatever its own is
-            finer = max(camera.fx / RESOLUTION, 1.0)
-            options = {"threshold": self._standing.detail * finer}
+        if self.paged is not None:
+            options = {"threshold": self.standing_threshold(camera)}
         return camera, self._standing.draw(camera, self.near, **options)
+
+    def standing_threshold(self, camera):
+        """Return the threshold [px] of standing things in chunks: that at RESOLUTION."""
+        return self.paged.standing.detail * max(camera.fx / RESOLUTION, 1.0)
 
     def mirrored_layers(self, camera, level, window, step=1):
         """Return camera and layers of a camera mirrored at a level, see `WetScene.mirrored`."""

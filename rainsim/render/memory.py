@@ -28,8 +28,10 @@ WATER_PROGRAM, WATER_CELL = 220e6, 220.0  # simulated states
 DEVICE_REST, DEVICE_SPLAT, DEVICE_HARMONIC = 100e6, 190.0, 2.0  # on a GPU, a harmonic in 16 bits
 DEVICE_LEVELS = 2.6  # splats with their levels of detail, over splats: 2.1 to 2.6 measured
 DEVICE_CELL, DEVICE_PIXEL = 170.0, 320.0
+DEVICE_PAGES = 5.0  # times what chunks may take: their room, and splats as pictures project them
 SAID = 2e9  # bytes from which on a run says what it takes
 COARSER, FEWER = "give a larger --spacing", "take a capture of fewer splats"
+LESS = "give less --memory"
 LEAST_WIDTH = 64  # px: a smaller one is no remedy
 
 
@@ -104,7 +106,8 @@ def require_memory(scene, camera, cells=0, layers=0, device_free=None):
         pixel = PIXEL + LAYER_PIXEL * layers
         need = Need(what, memory_of_frames(scene, camera, cells, layers), pixel)
         return need, _require(need, free_memory(), camera, COARSER)
-    return _require_on_device(what, scene.splats, camera, cells, device_free)
+    pages = DEVICE_PAGES * _bytes_of_pages(scene)
+    return _require_on_device(what, scene.splats, camera, cells, device_free, pages=pages)
 
 
 def require_memory_of_dry(splats, camera, arrays=False, device_free=None):
@@ -155,10 +158,11 @@ def memory_notes(scene, camera, cells, layers=0, device_free=None):
     return _notes(*require_memory(scene, camera, cells, layers, device_free))
 
 
-def _require_on_device(what, splats, camera, cells, free, levels=DEVICE_LEVELS):
-    size = device_memory_of_frames(splats, camera, cells, levels)
+def _require_on_device(what, splats, camera, cells, free, levels=DEVICE_LEVELS, pages=0.0):
+    size = pages + device_memory_of_frames(splats, camera, cells, levels)
     need = Need(what, size, DEVICE_PIXEL, " of the GPU")
-    return need, _require(need, free, camera, COARSER if cells else FEWER)
+    otherwise = LESS if 2 * pages > size else COARSER if cells else FEWER
+    return need, _require(need, free, camera, otherwise)
 
 
 def _bytes_of_pages(scene):

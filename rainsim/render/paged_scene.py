@@ -51,6 +51,8 @@ class PagedScene:
     Attributes
     ----------
     whole, standing, captured : PagedRasterizer
+    drawer : Rasterizer
+        Of all three.
     """
 
     def __init__(
@@ -70,7 +72,7 @@ class PagedScene:
         pages = scene.pages
         pages.limit(render.memory)
         room = room_for(pages)
-        drawer = rasterizer_of(room.prepared)  # one working memory for all three
+        self.drawer = drawer = rasterizer_of(room.prepared)  # one working memory for all three
         how = render.detail, self._most, lambda prepared: drawer
         own = {"compensate": scene.antialiased, "room": room}
         self.whole = PagedRasterizer(pages, self._page, *how, **own)

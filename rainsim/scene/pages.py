@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rainsim.errors import InputError, ParameterError
+from rainsim.errors import InputError
 from rainsim.io.allocator import return_large_blocks
 from rainsim.scene.activate import MAX_BROKEN_SHARE
 from rainsim.scene.formats.streamed import NONE, read_chunk, require_run
@@ -205,22 +205,6 @@ def _usable(tree, name, splats, good):
             f"{100 * MAX_BROKEN_SHARE:g} % are tolerated; export the capture again"
         )
     return splats.take(good)
-
-
-def require_whole(scene, what, remedy):
-    """Raise ParameterError if a scene is in chunks, which `what` does not know.
-
-    Parameters
-    ----------
-    scene : Scene
-    what, remedy : str
-        For the message.
-    """
-    if scene.pages is not None:
-        raise ParameterError(
-            f"{scene.name} is a capture in chunks; {what} takes captures that are held whole; "
-            f"{remedy}"
-        )
 
 
 def levels_at(tree, wanted):

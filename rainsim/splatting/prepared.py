@@ -58,6 +58,8 @@ class PreparedSplats:
         first number and less than the second. None: all chunks are drawn.
     reach : ndarray of shape (chunks, 6), float32 [capture units], or None
         Lowest and highest x, y, z of the centres of the group whose level the chunk is.
+    written : ndarray of shape (chunks,), int64, or None
+        Of a room for chunks: how often each place was written. None: all stay as they are.
     """
 
     geometry: np.ndarray
@@ -70,6 +72,7 @@ class PreparedSplats:
     compensate: bool = False
     span: np.ndarray | None = None
     reach: np.ndarray | None = None
+    written: np.ndarray | None = None
 
     def __len__(self):
         return len(self.order)

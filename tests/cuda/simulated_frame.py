@@ -169,12 +169,13 @@ def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
 
 
 def test_lamps_on_wet_ground_are_those_of_the_cpu(monkeypatch):
-    """A lamp over wet paving at dusk; its image is that of a source."""
+    """A lamp over wet paving at dusk, with its halo; its image is that of a source."""
     dark, scene = lamp_scene()
     camera = scene.cameras[0].resized(*SIZE)
     settings = config(
-        film="mirror", reflections="auto", rate=0.0, past=2e-3, daylight=0.04, brightness=0.35
-    )
+        film="mirror", reflections="auto", rate=0.0, past=2e-3, daylight=0.04, brightness=0.35,
+        glare="spencer",
+    )  # fmt: skip
     terrain = extract_terrain(scene, settings)
     state = next(iter(simulate(terrain, settings)))
     wanted = rendering.Renderer(scene, terrain, settings, camera).draw(camera, state)[0]
@@ -182,6 +183,8 @@ def test_lamps_on_wet_ground_are_those_of_the_cpu(monkeypatch):
     found = renderer.draw(camera, state)[0].copy()
     assert decibel(found, wanted) > 50
     assert int(renderer.frame.passes.ground_light.level.lamps._many[0]) > 0
+    clear = rendering.Renderer(scene, terrain, settings.replace(glare="off"), camera)
+    assert decibel(clear.draw(camera, state)[0], wanted) < decibel(found, wanted) - 6
     monkeypatch.setattr(Lamps, "add", lambda *_: None)
     without = twin.Renderer(scene, terrain, settings, camera).draw(camera, state)[0]
     assert decibel(without, wanted) < decibel(found, wanted) - 6

@@ -16,6 +16,7 @@ from rainsim.cuda.reflection import screen_space as cuda_screen
 from rainsim.cuda.reflection import water_shading as cuda_water
 from rainsim.cuda.reflection import water_surface as cuda_surface
 from rainsim.cuda.shading import composite as cuda_composite
+from rainsim.cuda.shading import glare as cuda_glare
 from rainsim.cuda.shading import wet_ground_mirror as cuda_film
 from rainsim.cuda.shading import wet_pass as shading
 from rainsim.numerics import mipmap  # fmt: skip
@@ -35,7 +36,7 @@ from rainsim.reflection.water_shading import Background, Optics, Ripples
 from rainsim.reflection.water_surface import WaterMap
 from rainsim.reflection.wet_tops import DRY_TOPS
 from rainsim.scene.view import View, view_of_arrays
-from rainsim.shading import composite, sky, wet_ground_mirror, wet_pass
+from rainsim.shading import composite, glare, sky, wet_ground_mirror, wet_pass
 from rainsim.shading.composite import RainCover, RainLight
 from rainsim.shading.fresnel import EXACT, SCHLICK
 from rainsim.shading.grading import Look
@@ -85,6 +86,28 @@ def view():
 
 def launch(kernel, *arguments):
     kernel[shading.blocks(HEIGHT, WIDTH), shading.BLOCK](*arguments)
+
+
+def test_halos_of_lamps(view, poisoned):
+    """Lamps of several colours, and sizes of lens one after the other."""
+    picture = (0.3 * view.color).astype(F4)
+    picture[3, 4], picture[3, 29], picture[17, 11:13] = (90, 9, 0), (4, 70, 30), (8, 8, 50)
+    frame = type("Frame", (dict,), {})(
+        shown=cuda.to_device(picture), dazzling=cuda.to_device(poisoned((HEIGHT, WIDTH, 3)))
+    )
+    frame.size, frame.pending = (HEIGHT, WIDTH), []
+    frame.uniforms = {"brightness": cuda.to_device(F4([0.7]))}
+    twin = cuda_glare.Glare(frame)
+    twin.room_for(HEIGHT, WIDTH)
+    for focal in (26.0, 60.0):
+        twin.update(focal)
+        frame.pending.pop()()
+        twin.add(0)
+        wanted = glare.Glare().added(picture, focal, 0.7)
+        assert np.abs(wanted - picture).max() > 0.01
+        np.testing.assert_allclose(frame["dazzling"].copy_to_host(), wanted, rtol=1e-5, atol=1e-6)
+    twin.update(focal)
+    assert not frame.pending
 
 
 def test_grade_and_wet(view, poisoned):

@@ -45,7 +45,7 @@ CASES = {  # scene, preset, width [px], changes, layers
     "bicycle ssr": ("bicycle", "moderate", 324, {"reflections": "ssr", "film": "mirror"}, ()),
     "street": ("street", "moderate", 324, {}, ()),
     "street downpour": ("street", "downpour", 486, {"mirror_size": "full"}, ()),
-    "street dusk": ("street", "dusk", 243, {"glare": "off"}, ()),
+    "street dusk": ("street", "dusk", 243, {}, ()),
     "street flood": ("street", "flood", 162, {"spacing": 0.03, "streak_far": 3.0}, ()),
     "traffic": ("traffic", "moderate", 243, {}, ()),
     "traffic downpour": ("traffic", "downpour", 324, {"film": "mirror"}, ()),

@@ -6,7 +6,7 @@ import rainsim.cuda
 from rainsim.errors import BackendError
 from simulator import QUICK, Simulator
 
-LONG = ("film", "splash", "ripples", "simulate", "frame", "actors", "mirror", "bench")
+LONG = ("film", "splash", "ripples", "simulate", "frame", "actors", "mirror", "bench", "chunks")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from rainsim.shading import wet_ground_mirror
 from scenes import lamp_scene
 
 pytestmark = pytest.mark.gpu
-DUSK = Config.from_preset("dusk").replace(glare="off", film="mirror", width=320)
+DUSK = Config.from_preset("dusk").replace(film="mirror", width=320)
 
 
 def decibel(a, b):

@@ -13,6 +13,7 @@ CUDA_ONLY = {
     "render/device_frame.py",  # arrays of a frame that stay on the device
     "render/frame_queue.py",  # launches of a frame, recorded
     "render/lanes.py",  # streams, and which of them waits for which
+    "splatting/sort.py",  # the sort of all tiles' entries at once
     "scalars.py",  # sums and lists over a grid of threads
     "timing.py",  # events
     "warp.py",  # instructions of a warp

@@ -1,5 +1,6 @@
 """Memory is estimated before it is taken."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -78,6 +79,14 @@ def test_a_gpu_s_own_memory_is_what_counts_on_it(free, monkeypatch):
     assert backend.free_device_memory("cpu") is None
     with pytest.raises(ParameterError, match="of the GPU"):  # before anything is put on it
         next(pipeline.render(scene, _Map(), (), [camera], Config(), backend="cuda"))
+
+
+def test_the_memory_of_chunks_is_what_is_lowered_on_a_gpu():
+    scene = replace(tiny_scene(), pages=SimpleNamespace(memory=1e9))
+    camera = scene.cameras[0].resized(96, 64)
+    memory.require_memory(scene, camera, 10_000, device_free=5.3e9)
+    with pytest.raises(ParameterError, match=r"5\.1 GB .* give less --memory"):
+        memory.require_memory(scene, camera, 10_000, device_free=5e9)
 
 
 def test_eight_gardens_on_a_gpu_take_what_was_measured():

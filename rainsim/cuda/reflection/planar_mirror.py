@@ -20,14 +20,15 @@ from rainsim.cuda.driver import Event
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
+from rainsim.cuda.lod.paged import ChunkPicture
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.reflection.mirror_choice import THREADS, UNUSED, LevelChoice
 from rainsim.cuda.shading.wet_pass import grade_layers
 from rainsim.cuda.splatting import project
 from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
 from rainsim.reflection.mirror_choice import merged_cells
-from rainsim.reflection.water_pass import WINDOW_SLOPE, WINDOW_STEP
-from rainsim.scene.cameras import mirrored_camera
+from rainsim.reflection.water_pass import WINDOW_SLOPE, WINDOW_STEP, mirror_window
+from rainsim.scene.cameras import cropped, mirrored_camera
 from rainsim.splatting.project import FRUSTUM_MARGIN
 
 SQUARE_CELLS = 1 << (COARSEST - 1)  # of half the resolution in one of the coarsest
@@ -194,6 +195,8 @@ class Mirrors:
     ----------
     arrays : MirrorArrays
         The pictures as kernels take them, one for each pass of a queue; only the window is drawn.
+    chunks : ChunkPicture or None
+        What all passes draw of a capture in chunks.
     """
 
     def __init__(self, frame, reflections):
@@ -211,6 +214,11 @@ class Mirrors:
         self._forked = Event()
         self._passes = []  # `MirrorPass`
         self._mirrored = None  # what the rasterizers are updated with
+        self.chunks, paged = None, frame.conductor.wet_scene.capture.paged
+        if paged is not None and self._levels.most:
+            self.chunks = ChunkPicture(
+                paged.whole, frame.rasterizer.splats, lambda: self._rasterizers
+            )
         self.forget_size()
 
     def forget_size(self):
@@ -233,6 +241,8 @@ class Mirrors:
         """Take over the camera that is mirrored in a `DrawnCapture`, and the `mirror_step`."""
         if not self._levels.most:
             return
+        if self.chunks is not None and self._passes:
+            self._choose_chunks(camera, capture, step)
         frame, largest = capture.frame, largest_window(camera)
         plane, mirrored = mirrored_camera(camera, frame, 0.0)
         mirrored = replace(mirrored, width=largest[1], height=largest[0])
@@ -253,6 +263,22 @@ class Mirrors:
             self._allocate(*largest)
         for rasterizer in self._rasterizers:
             rasterizer.update(*self._mirrored)
+
+    def _choose_chunks(self, camera, capture, step):
+        """Choose the chunks of all passes before the levels are known: as from a usual level.
+
+        The window is the largest, and of what lies below the levels only what is below the ground
+        is left out.
+        """
+        bed = self._frame.conductor.ground.terrain.bed
+        plane, _ = mirrored_camera(camera, capture.frame, float(bed.min()))
+        _, mirrored = mirrored_camera(camera, capture.frame, float(np.median(bed)))
+        shape = camera.height, camera.width
+        lens = camera.fx, camera.fy, camera.cx, camera.cy
+        ends = np.array([0, camera.height * camera.width - 1])
+        mirrored = cropped(mirrored, mirror_window(ends, shape, lens))
+        mirrored = mirrored.resized(mirrored.width // step, mirrored.height // step)
+        self.chunks.choose(self._frame.pending, mirrored, capture.near, plane, leading=True)
 
     @property
     def _rasterizers(self):

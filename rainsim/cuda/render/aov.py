@@ -49,6 +49,9 @@ class AovReader:
         inputs.put("ripples", (frame.ripple_slopes(), state.tile_size))
         inputs.put("drips", (state.drips, state.drip_id))
         inputs.put("throws", (state.throws, state.throw_id))
+        if capture.paged is not None:  # which draws for the host with a rasterizer of its own
+            inputs.make(names, self._passes.work)
+            return
         if self._rasterizer is None:
             own = frame.rasterizer
             self._rasterizer = Rasterizer(own.splats, own.stream, first_room=own.room.entries)

@@ -13,6 +13,8 @@ from rainsim.cuda.driver import copy_to_host
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda
+from rainsim.cuda.lod.paged import ChunkPicture
+from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.render.passes import Passes
 from rainsim.particles.fog import FOG_STEPS
 from rainsim.reflection.ray_water import COVERING_DEPTHS
@@ -37,7 +39,9 @@ class DeviceFrame:
     Attributes
     ----------
     rasterizer : rainsim.cuda.raster.Rasterizer
-        Of the capture.
+        Of the capture; of one in chunks not `PagedScene.drawer`, which draws for the host.
+    chunks : ChunkPicture or None
+        What `rasterizer` draws of a capture in chunks.
     place : tuple
         Corner (2,) and spacing [m] of the map.
     uniforms : FrameUniforms
@@ -54,7 +58,13 @@ class DeviceFrame:
     def __init__(self, conductor, stream):
         self.conductor, self.stream = conductor, stream
         scene, ground = conductor.wet_scene, conductor.ground
-        self.rasterizer = scene.capture.rasterizer
+        self.rasterizer, self.chunks = scene.capture.rasterizer, None
+        if (paged := scene.capture.paged) is not None:
+            drawer = paged.drawer
+            self.rasterizer = Rasterizer(
+                drawer.splats, drawer.stream, first_room=drawer.room.entries
+            )
+            self.chunks = ChunkPicture(paged.whole, drawer.splats, lambda: [self.rasterizer])
         grid = ground.terrain.grid
         self.place = to_device(np.array(grid.origin, np.float32)), np.float32(grid.spacing)
         bodies = scene.ground.bodies.now.size or ground.terrain.footprints
@@ -108,9 +118,14 @@ class DeviceFrame:
             self._allocate()
         scene, inputs = conductor.wet_scene, conductor.frame
         capture = scene.capture
+        if self.chunks is not None:
+            self.chunks.choose(self.pending, camera, capture.near)
+            self.rasterizer.splats.aim_at(self.chunks.boxes())
         self.rasterizer.update(camera, capture.near, detail=capture.merge)
         passes.mirrors.update(camera, capture, inputs["mirror_step"])
         passes.ground_light.update(camera, conductor.ground_camera)
+        if passes.glare is not None:
+            passes.glare.update(conductor.ground_camera.fx)
         self._take_state(state)
         fog = passes.rain.update(state, camera_end)
         view = conductor.view
@@ -130,11 +145,19 @@ class DeviceFrame:
             else self.conductor.ground.rings,
         }  # fmt: skip
         kept = [(name, array, partial(self._copy, name)) for name, array in copies.items()]
-        if scene.capture.actors is not None:
+        if scene.capture.actors is not None and scene.capture.paged is None:
             kept.append(("actors", scene.capture.actors.placed, self._send_actors))
         kept.append(("bodies", scene.ground.bodies.now, self._copy_bodies))
-        kept.append(("colors", scene.capture.drawn, self._send_colors))
+        if scene.capture.paged is None:
+            kept.append(("colors", scene.capture.drawn, self._send_colors))
         return kept
+
+    def send_chunks(self):
+        """Send what the pictures of a capture in chunks lack; the device must be idle meanwhile."""
+        passes = self.passes
+        for chunks in (self.chunks, passes.mirrors.chunks, passes.ground_light.chunks):
+            if chunks is not None:
+                chunks.send()
 
     def _send(self, name, value, send):
         send(value)
@@ -191,10 +214,12 @@ class DeviceFrame:
         f4, apart = np.float32, self.passes.ground_light.level is not None
         cover = cuda.device_array((height if apart else 1, width), f4)
         self._buffers["cover"] = cover if apart else cover[:0]
-        for name in ("picture", "shown", *(["below"] if apart else [])):
+        own = {"below": apart, "dazzling": self.passes.glare is not None}
+        for name in ("picture", "shown", *(name for name, is_own in own.items() if is_own)):
             self._buffers[name] = cuda.device_array((height, width, 3), f4)
-        if not apart:
-            self._buffers["below"] = self._buffers["picture"]
+        for name, same in (("below", "picture"), ("dazzling", "shown")):
+            if not own[name]:
+                self._buffers[name] = self._buffers[same]
         for name in ("depth", "clearance", "tall", "hit", "distance", "coverage", "no_rain"):
             self._buffers[name] = cuda.device_array((height, width), f4)
         self._buffers["bounds"] = cuda.device_array(bounds_of(height, width), f4)

@@ -333,6 +333,7 @@ class FrameQueue:
                 break
             cuda.synchronize()
             self._update(flight.shot)
+            frame.send_chunks()
             self._flight, early = flight, False
             self._launch_dry()
             self._launch_surface()

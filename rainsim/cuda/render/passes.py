@@ -13,6 +13,7 @@ from rainsim.cuda.render.actor_splats import MovingActors
 from rainsim.cuda.render.lanes import Lanes, Launch
 from rainsim.cuda.render.rain_pass import RainPass
 from rainsim.cuda.shading.composite import compose
+from rainsim.cuda.shading.glare import Glare
 from rainsim.cuda.shading.wet_ground_mirror import WetGroundLight
 from rainsim.cuda.shading.wet_pass import grade_layers, pixel_grid
 from rainsim.reflection.water_pass import optics_of
@@ -35,6 +36,8 @@ class Passes:
     ground_light : WetGroundLight
     drop_light : DropLight
     surface : WaterSurface
+    glare : Glare or None
+        None: lamps have no halos.
     actors : MovingActors or None
         None in scenes without actors.
     rain : RainPass
@@ -42,7 +45,7 @@ class Passes:
         What is queued beside what.
     launches : dict of str to Launch
         By the names of the passes. What is no pass of the device has no entry: the reflection is
-        found where the water is shaded, and there is no glare.
+        found where the water is shaded.
     """
 
     def __init__(self, frame):
@@ -54,6 +57,7 @@ class Passes:
         )  # fmt: skip
         self.mirrors = Mirrors(frame, conductor.config.render.reflections)
         self.ground_light, self.drop_light = WetGroundLight(frame), DropLight(frame)
+        self.glare = None if conductor.config.render.glare == "off" else Glare(frame)
         aside, beside = cuda.stream(), cuda.stream()
         capture = conductor.wet_scene.capture
         self.actors = None if capture.actors is None else MovingActors(frame)
@@ -76,6 +80,8 @@ class Passes:
             launches["splat level"] = Launch(light.splat, light.stream)
             launches["light on wet ground"] = Launch(light.draw, light.stream)
             launches["film"] = Launch(light.add)
+        if self.glare is not None:
+            launches["glare"] = Launch(self.glare.add)
         self.launches, self.lanes = launches, Lanes(PASSES, launches)
 
     def each(self, part, stream):
@@ -89,6 +95,8 @@ class Passes:
         """Make room for pictures of a size [px]."""
         self.mirrors.forget_size()
         self.rain.room_for(height, width)
+        if self.glare is not None:
+            self.glare.room_for(height, width)
 
     # ---- what a finished frame had too little room for
 
@@ -164,7 +172,7 @@ class Passes:
     def _compose(self, stream):
         frame, light = self._frame, self.drop_light
         compose[pixel_grid(frame.size, stream)](
-            frame["shown"], frame["depth"], RainCover(*self.rain.alphas, frame.uniforms["fog"]),
+            frame["dazzling"], frame["depth"], RainCover(*self.rain.alphas, frame.uniforms["fog"]),
             RainLight(light.drops, light.sheets, frame.uniforms["air"]), frame.view,
             frame.uniforms["brightness"], frame["image"],
         )  # fmt: skip

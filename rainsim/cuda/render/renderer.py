@@ -24,7 +24,6 @@ from rainsim.errors import ParameterError
 from rainsim.render.conductor import Conductor
 from rainsim.render.frame import DRY, SPLAT, SURFACE, WET
 from rainsim.render.renderer import report_of
-from rainsim.scene.pages import require_whole
 from rainsim.splatting.prepared import LANES
 
 
@@ -45,7 +44,6 @@ class Renderer:
     @one_fault()
     def __init__(self, scene, terrain, config, first_camera):
         _require_known(config.render)
-        require_whole(scene, "backend cuda", "take backend cpu")
         self.stream, self._ahead = cuda.stream(), cuda.stream()
         self._room = -(-sum(len(actor.splats) for actor in scene.actors) // LANES)
         self.conductor = Conductor(scene, terrain, config, first_camera, self._rasterizer_of)
@@ -54,7 +52,9 @@ class Renderer:
         self._aovs = AovReader(self.frame)
 
     def _rasterizer_of(self, prepared):
-        return Rasterizer(DeviceSplats(prepared, self._room), self._ahead)
+        if prepared.written is None:
+            prepared = DeviceSplats(prepared, self._room)
+        return Rasterizer(prepared, self._ahead)
 
     @one_fault()
     def draw(self, camera, state, camera_end=None, names=()):
@@ -115,7 +115,7 @@ def _require_known(render):
     for name, wanted in (
         ("reflections", ("auto", "mirror", "ssr")), ("water_geometry", ("height-field",)),
         ("refraction", ("snell",)), ("highlight", ("cox-munk",)), ("coverage", ("soft",)),
-        ("streaks", ("shutter",)), ("splashes", ("crowns",)), ("glare", ("off",)),
+        ("streaks", ("shutter",)), ("splashes", ("crowns",)),
     ):  # fmt: skip
         value = getattr(render, name)
         if value not in wanted:

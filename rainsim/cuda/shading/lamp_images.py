@@ -116,6 +116,8 @@ class Lamps:
     def _seen(self, level):
         """Return the `WetPicture` of standing things, see `WetScene.level_mirrored`."""
         scene = self._frame.conductor.wet_scene
+        if scene.capture.paged is not None:
+            return scene.level_mirrored(level)
         _, camera = mirrored_camera(scene.frame.camera_in_capture(level), scene.frame, 0.0)
         layers = self._rasterizer.draw(camera, scene.capture.near)
         return scene.wetted(layers, scene.view_of(camera), mirrored=True)

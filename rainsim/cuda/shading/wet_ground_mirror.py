@@ -15,6 +15,7 @@ from rainsim.constants import ONE, ZERO
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
+from rainsim.cuda.lod.paged import ChunkPicture
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.shading.lamp_images import Lamps, shines
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks, grade_layers, pixel_grid
@@ -151,10 +152,12 @@ class LevelView:
         Columns and rows that are drawn; the arrays may be larger.
     lamps : Lamps or None
         None: the scene has none.
+    chunks : ChunkPicture or None
+        What is drawn of a capture in chunks.
     """
 
     def __init__(self, frame, stream, drawn):
-        self._frame, self.rasterizers, self.lamps = frame, [], None
+        self._frame, self.rasterizers, self.lamps, self.chunks = frame, [], None, None
         self.size = cuda.to_device(np.zeros(2, np.float32))
         self._lens = cuda.to_device(np.ones(4, np.float32))
         self._uniforms = FrameUniforms(stream, {
@@ -163,7 +166,12 @@ class LevelView:
         self._room, self._horizon = None, 0
         self._allocate(1, 1)
         if drawn:
-            splats = DeviceSplats(self._splats(), frame.rasterizer.splats.room)
+            paged = frame.conductor.wet_scene.capture.paged
+            if paged is None:
+                splats = DeviceSplats(self._splats(), frame.rasterizer.splats.room)
+            else:
+                splats = frame.rasterizer.splats
+                self.chunks = ChunkPicture(paged.standing, splats, lambda: self.rasterizers)
             self.rasterizers = [Rasterizer(splats, stream, first_room=splats.count)]
             if shines(frame.conductor.wet_scene.scene):
                 self.lamps = Lamps(frame, splats, stream)
@@ -208,6 +216,9 @@ class LevelView:
         if room != self._room:
             self._room = room
             self._allocate(*room)
+        if self.chunks is not None:
+            finer = scene.capture.standing_threshold(mirrored)
+            self.chunks.choose(self._frame.pending, mirrored, scene.capture.near, threshold=finer)
         for rasterizer in self.rasterizers:
             rasterizer.update(mirrored, scene.capture.near, room=room)
             self.size, self._lens = rasterizer.size, rasterizer.lens
@@ -266,6 +277,11 @@ class WetGroundLight:
     def rasterizers(self):
         """That of the level picture, if it is drawn, a list."""
         return [] if self.level is None else self.level.rasterizers
+
+    @property
+    def chunks(self):
+        """Those of the level picture, see `LevelView`."""
+        return None if self.level is None else self.level.chunks
 
     def update(self, camera, camera_in_ground):
         """Take over the camera of the next picture, in the capture's and in the ground's frame."""

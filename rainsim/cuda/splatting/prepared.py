@@ -35,7 +35,13 @@ class DeviceSplats:
         Chunks with the room, without it, and with it those that were not to come last.
     count : int
         Splats, at most.
+    rank : device array of shape (chunks,), int32
+        The order in which splats of one depth are taken.
+    version : int
+        Of the arrays, see `cuda.graph.new_version`; 0: they are never replaced.
     """
+
+    version = 0
 
     def __init__(self, prepared, room=0):
         self.room, self.static = room, len(prepared.box)
@@ -47,14 +53,14 @@ class DeviceSplats:
                 f"the scene has {self.count} splats; backend cuda takes at most "
                 f"{project.MOST_SPLATS}; take backend cpu"
             )
-        geometry = self._with_room(_clean(prepared.geometry).reshape(self.static, ROW), 0)
+        geometry = self._with_room(clean(prepared.geometry).reshape(self.static, ROW), 0)
         geometry[:room, OPACITY * LANES :] = project.FAINT
         self.geometry = cuda.to_device(geometry.reshape(-1))
         count = 3 * (prepared.degree + 1) ** 2
         self.bands, self.groups = int(np.sqrt(count // 3)), -(-count // 8)
         self.sh = cuda.device_array(max(self.chunks, 1) * self.groups * 8 * LANES, np.float16)
         self.send_colors(prepared)
-        self.centre, self.reach = _reach(prepared.box)
+        self.centre, self.reach = reach_of(prepared.box)
         # A chunk of nothing but holes has an infinite box, which no comparison finds outside.
         self.box = cuda.to_device(self._with_room(prepared.box, 0))
         span, around = prepared.span, prepared.reach
@@ -63,6 +69,7 @@ class DeviceSplats:
             span[:, 1] = np.inf
         span = self._with_room(np.ascontiguousarray(span, np.float32), np.inf)
         self.span = cuda.to_device(span)
+        self.rank = cuda.to_device(np.arange(self.chunks, dtype=np.int32))
         self.around = cuda.to_device(self._with_room(np.ascontiguousarray(around, np.float32), 0))
         self._order, self._first = prepared.order, room  # of splats, and the place of its first
 
@@ -97,7 +104,7 @@ class DeviceSplats:
         used, room = len(merged.box) - self.static, self.room
         first = room - used
         if used:
-            geometry = np.ascontiguousarray(_clean(merged.geometry[:used]), np.float32)
+            geometry = np.ascontiguousarray(clean(merged.geometry[:used]), np.float32)
             self.geometry[first * ROW : room * ROW].copy_to_device(geometry.reshape(-1))
             self.box[first:room].copy_to_device(np.ascontiguousarray(merged.box[:used]))
             self._send_harmonics(merged, used, first)
@@ -135,7 +142,7 @@ class DeviceSplats:
         return hit
 
 
-def _reach(box):
+def reach_of(box):
     """Return the middle of most chunks and the radius about it that holds nearly all."""
     middle = 0.5 * (box[:, :3] + box[:, 3:])
     middle = middle[np.isfinite(middle).all(axis=1)]
@@ -145,7 +152,7 @@ def _reach(box):
     return centre, float(np.percentile(np.linalg.norm(middle - centre, axis=1), 99))
 
 
-def _clean(geometry):
+def clean(geometry):
     """Return the geometry with a finite opacity everywhere and nothing that is not a number."""
     rows = geometry.reshape(len(geometry), -1, LANES)
     bad = ~np.isfinite(rows).all(axis=1)

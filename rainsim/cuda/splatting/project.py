@@ -345,13 +345,21 @@ def list_splats(
             )
 
 
+@cuda_device
+def comes_before(splat, other, rank):
+    """Return whether a splat is taken before another one of the same depth."""
+    here, there = rank[splat // LANES], rank[other // LANES]
+    return here < there or (here == there and splat < other)
+
+
 @cuda_kernel
-def find_ranges(total, levels, key, value, record, begin_out, end_out, value_out):
+def find_ranges(total, levels, key, value, record, rank, begin_out, end_out, value_out):
     """Find where each tile's entries lie, and put entries of one key in order.
 
-    Keys hold a rounded depth. Among entries of one key the whole depth decides, then the splat's
-    number: so the order does not depend on that in which they were written. Each entry counts
-    those that come before it: a wall that faces the camera has hundreds of one key in a tile.
+    Keys hold a rounded depth. Among entries of one key the whole depth decides, then the rank of
+    the splat's chunk, then its place in it: so the order does not depend on that in which they were
+    written. Each entry counts those that come before it: a wall that faces the camera has hundreds
+    of one key in a tile.
     """
     i = cuda.grid(1)
     n = min(np.int64(total[0]), key.size)
@@ -375,7 +383,8 @@ def find_ranges(total, levels, key, value, record, begin_out, end_out, value_out
             other = np.int64(value[j]) & SPLAT_MASK
             there, more = record[RECORD * other + 9], record[RECORD * other + 14]
             if there < depth or (
-                there == depth and (more < rest or (more == rest and other < splat))
+                there == depth
+                and (more < rest or (more == rest and comes_before(other, splat, rank)))
             ):
                 place += 1
     value_out[place] = entry

@@ -1,0 +1,124 @@
+"""Twin of `rainsim.shading.glare`: each pixel adds up what dazzling pixels scatter into it.
+
+The CPU convolves by Fourier transforms. Lamps have few pixels, so that here their list is shorter.
+It is in the order of rows and columns: the sums have the same bytes every time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.constants import ZERO
+from rainsim.cuda.driver import send
+from rainsim.cuda.jit import SIMULATED, cuda, cuda_device, cuda_kernel
+from rainsim.cuda.shading.wet_pass import pixel_grid
+from rainsim.shading.glare import DAZZLES, spread_kernel
+
+THREADS = 4 if SIMULATED else 32  # of a row, a part of it each
+MOST = np.float32(DAZZLES)
+
+
+@cuda_device
+def dazzles(pixel, least):
+    """Return whether one of a pixel's colours (3,) exceeds the radiance from which on it glares."""
+    return max(pixel[0], pixel[1], pixel[2]) > least
+
+
+@cuda_kernel
+def list_dazzling(picture, brightness, column_out, count_out):
+    """List the columns of each row's dazzling pixels; a block for each row.
+
+    Parameters
+    ----------
+    picture : device array of shape (height, width, 3), float32
+    brightness : device array of shape (1,), float32
+    column_out : device array of shape (height, width), int32
+        Its first columns are written.
+    count_out : device array of shape (height,), int32
+    """
+    counts = cuda.shared.array(THREADS, np.int32)
+    row, lane, width = cuda.blockIdx.x, cuda.threadIdx.x, picture.shape[1]
+    begin, end = lane * width // THREADS, (lane + 1) * width // THREADS
+    least, count = MOST / brightness[0], 0
+    for i in range(begin, end):
+        if dazzles(picture[row, i], least):
+            count += 1
+    counts[lane] = count
+    cuda.syncthreads()
+    place = 0
+    for k in range(lane):
+        place += counts[k]
+    for i in range(begin, end):
+        if dazzles(picture[row, i], least):
+            column_out[row, place] = i
+            place += 1
+    if lane == THREADS - 1:
+        count_out[row] = place
+
+
+@cuda_kernel
+def add_halos(picture, brightness, column, count, spread, dazzling_out):
+    """Add to each pixel the light that dazzling pixels scatter into it.
+
+    Parameters
+    ----------
+    picture, brightness, column, count
+        As `list_dazzling` has them.
+    spread : device array of shape (height, width), float32
+        What a pixel scatters into one so many rows and columns away.
+    dazzling_out : device array of shape (height, width, 3), float32
+    """
+    i, j = cuda.grid(2)
+    if j >= picture.shape[0] or i >= picture.shape[1]:
+        return
+    least = MOST / brightness[0]
+    red = green = blue = ZERO
+    for row in range(count.size):
+        share = spread[abs(row - j)]
+        for k in range(count[row]):
+            there = column[row, k]
+            part, pixel = share[abs(there - i)], picture[row, there]
+            red += part * max(pixel[0] - least, ZERO)
+            green += part * max(pixel[1] - least, ZERO)
+            blue += part * max(pixel[2] - least, ZERO)
+    here = picture[j, i]
+    out = dazzling_out[j, i]
+    out[0], out[1], out[2] = here[0] + red, here[1] + green, here[2] + blue
+
+
+class Glare:
+    """The halos of lamps in one frame after another.
+
+    Parameters
+    ----------
+    frame : DeviceFrame
+    """
+
+    def __init__(self, frame):
+        self._frame, self._focal, self._spread = frame, None, None
+
+    def room_for(self, height, width):
+        """Make room for pictures of a size [px]."""
+        self._spread = cuda.device_array((height, width), np.float32)
+        self._column = cuda.device_array((height, width), np.int32)
+        self._count, self._focal = cuda.device_array(height, np.int32), None
+
+    def update(self, focal):
+        """Take over the focal length [px] of the next picture."""
+        if focal != self._focal:
+            self._frame.pending.append(lambda: self._send(focal))
+
+    def _send(self, focal):
+        rows, columns = self._spread.shape
+        spread = spread_kernel(focal, rows, columns)[rows - 1 :, columns - 1 :]
+        send(self._spread, np.ascontiguousarray(spread))
+        self._focal = focal
+
+    def add(self, stream):
+        """Queue the sum of the shown picture and its halos."""
+        frame, lists = self._frame, (self._column, self._count)
+        shown, brightness = frame["shown"], frame.uniforms["brightness"]
+        list_dazzling[frame.size[0], THREADS, stream](shown, brightness, *lists)
+        add_halos[pixel_grid(frame.size, stream)](
+            shown, brightness, *lists, self._spread, frame["dazzling"]
+        )
