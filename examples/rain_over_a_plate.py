@@ -30,7 +30,7 @@ def main(frames="comp/exr", plate=None, out="over", strength=1.0):
     Path(out).mkdir(parents=True, exist_ok=True)
     for path in sorted(Path(frames).glob("*.exr")):
         parts = parts_of(path)
-        over = np.full((*parts["rain"]["A"].shape, 3), 0.18, np.float32)
+        over = np.full((*parts["near"]["A"].shape, 3), 0.18, np.float32)
         if plate is not None:
             over = srgb.linear(read_image(plate) / 255)
         for rain in (parts[name] for name in RAIN):

@@ -71,10 +71,7 @@ def run(
         loaded = loaded_scene(status, scene, given)
         cameras, config = cameras_of(loaded, config, given, say=status.notes)
         _say_moments(status, config)
-        from rainsim.render.memory import layers_held
-
-        held = layers_held(names, exr, optics)
-        _require_memory(loaded, cameras, held, backend, optics)  # without the map's cells
+        _require_memory(loaded, cameras, names, exr, optics, backend)  # without the map's cells
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
         def film(config):
@@ -83,7 +80,7 @@ def run(
             tell = status.progress, status.notes
             ground = ground_of(loaded, config, cameras, backend, mask, *tell, water)
             path = view_on(loaded, ground, cameras, config, given, status)
-            _say_memory(status, loaded, ground, path, held, backend, optics)
+            _say_memory(status, loaded, ground, path, names, exr, optics, backend)
             more = {"exr": exr, "optics": optics}
             return path, FrameSequence(loaded, ground, path, config, backend, names, **more)
 
@@ -243,9 +240,6 @@ def render(
     made = read_simulation(states)
     config = settings(None, given, base=made["config"])
     video, exr, names, optics = _check_before_loading(given, config, video, layers, backend)
-    from rainsim.render.memory import layers_held
-
-    held = layers_held(names, exr, optics)
     origin = made["origin"]
     if scene is None and origin["source"]:
         scene = str(path_named(origin["source"], states))
@@ -276,7 +270,7 @@ def render(
 
         ground = read_terrain(states)
         path = view_on(loaded, ground, cameras, config, given, status)
-        _say_memory(status, loaded, ground, path, held, backend, optics)
+        _say_memory(status, loaded, ground, path, names, exr, optics, backend)
 
         def state_of(index):
             return read_state(_state_file(states, index), ground)
@@ -372,21 +366,21 @@ def _check_farm(given):
         require()
 
 
-def _require_memory(scene, cameras, layers, backend, optics):
+def _require_memory(scene, cameras, names, exr, optics, backend):
     """Raise ParameterError before minutes of work if the frames' size alone is too much."""
     from rainsim.backend import free_device_memory
-    from rainsim.render.memory import require_memory
+    from rainsim.render.memory import layers_held, require_memory
 
-    free = free_device_memory(backend)
+    free, layers = free_device_memory(backend), layers_held(names, exr, optics)
     require_memory(scene, drawn_camera(cameras[0], optics), layers=layers, device_free=free)
 
 
-def _say_memory(status, scene, terrain, cameras, layers, backend, optics):
+def _say_memory(status, scene, terrain, cameras, names, exr, optics, backend):
     """Say what the frames take, if it is much; raise ParameterError if it is too much."""
     from rainsim.backend import free_device_memory
-    from rainsim.render.memory import memory_notes
+    from rainsim.render.memory import layers_held, memory_notes
 
-    free = free_device_memory(backend)
+    free, layers = free_device_memory(backend), layers_held(names, exr, optics)
     status.notes(memory_notes(scene, drawn_camera(cameras[0], optics), terrain.cells, layers, free))
 
 
