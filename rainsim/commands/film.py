@@ -12,6 +12,7 @@ from rainsim.commands.forecast import Forecast, exr_of, format_of
 from rainsim.commands.given import (
     cameras_of,
     check_camera_options,
+    first_frame,
     mask_of,
     masks_named,
     paths_in,
@@ -70,7 +71,7 @@ def run(
         loaded = loaded_scene(status, scene, given)
         cameras, config = cameras_of(loaded, config, given, say=status.notes)
         _say_moments(status, config)
-        _require_memory(loaded, cameras, names, backend, optics)  # without the map's cells
+        _require_memory(loaded, cameras, names, exr, optics, backend)  # without the map's cells
         out = out or options.default_out(loaded.name, Path(preset).stem)
 
         def film(config):
@@ -79,7 +80,7 @@ def run(
             tell = status.progress, status.notes
             ground = ground_of(loaded, config, cameras, backend, mask, *tell, water)
             path = view_on(loaded, ground, cameras, config, given, status)
-            _say_memory(status, loaded, ground, path, names, backend, optics)
+            _say_memory(status, loaded, ground, path, names, exr, optics, backend)
             more = {"exr": exr, "optics": optics}
             return path, FrameSequence(loaded, ground, path, config, backend, names, **more)
 
@@ -269,7 +270,7 @@ def render(
 
         ground = read_terrain(states)
         path = view_on(loaded, ground, cameras, config, given, status)
-        _say_memory(status, loaded, ground, path, names, backend, optics)
+        _say_memory(status, loaded, ground, path, names, exr, optics, backend)
 
         def state_of(index):
             return read_state(_state_file(states, index), ground)
@@ -343,10 +344,11 @@ def _check_before_loading(given, config, video, layers, backend):
     check_camera_options(given)
     _check_farm(given)
     require_backend(backend)
-    video = format_of(video, given)
+    start = round(first_frame(given, config.fps))
+    video = format_of(video, given, start)
     from rainsim.render.aov import parse_names
 
-    exr, names = exr_of(given, config.fps, parse_names(layers))
+    exr, names = exr_of(given, config.fps, parse_names(layers), start, video)
     return video, exr, names, optics_of(given, backend, names, exr)
 
 
@@ -364,24 +366,22 @@ def _check_farm(given):
         require()
 
 
-def _require_memory(scene, cameras, names, backend, optics):
+def _require_memory(scene, cameras, names, exr, optics, backend):
     """Raise ParameterError before minutes of work if the frames' size alone is too much."""
     from rainsim.backend import free_device_memory
-    from rainsim.render.memory import require_memory
+    from rainsim.render.memory import layers_held, require_memory
 
-    free = free_device_memory(backend)
-    require_memory(scene, drawn_camera(cameras[0], optics), layers=len(names), device_free=free)
+    free, layers = free_device_memory(backend), layers_held(names, exr, optics)
+    require_memory(scene, drawn_camera(cameras[0], optics), layers=layers, device_free=free)
 
 
-def _say_memory(status, scene, terrain, cameras, names, backend, optics):
+def _say_memory(status, scene, terrain, cameras, names, exr, optics, backend):
     """Say what the frames take, if it is much; raise ParameterError if it is too much."""
     from rainsim.backend import free_device_memory
-    from rainsim.render.memory import memory_notes
+    from rainsim.render.memory import layers_held, memory_notes
 
-    free = free_device_memory(backend)
-    status.notes(
-        memory_notes(scene, drawn_camera(cameras[0], optics), terrain.cells, len(names), free)
-    )
+    free, layers = free_device_memory(backend), layers_held(names, exr, optics)
+    status.notes(memory_notes(scene, drawn_camera(cameras[0], optics), terrain.cells, layers, free))
 
 
 def _say_moments(status, config):

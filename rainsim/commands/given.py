@@ -86,6 +86,14 @@ def shot_in(given, fps):
     return shot
 
 
+def first_frame(given, fps):
+    """Return the number of the first frame: --frame-start, else that of a `Shot`, else 0."""
+    if given.get("frame_start") is not None:
+        return given["frame_start"]
+    shot = shot_in(given, fps)
+    return shot.first if shot else 0
+
+
 def shot_cameras(shot, scene, given, fps):
     """Return the cameras of a `Shot` in the capture frame, and notes on them; `fps` in 1/s."""
     notes = list(shot.notes)
@@ -119,7 +127,7 @@ def scene_of(name, given):
 
     names = ("cameras", "up", "meters_per_unit", "camera_height", "ground_frame")
     given = dict(given)
-    _require_own_cameras(given.get("cameras"))
+    require_own_cameras(given.get("cameras"))
     length = given.get("known_length")
     if length is not None:
         for other in ("meters_per_unit", "camera_height"):
@@ -145,7 +153,7 @@ def scene_of(name, given):
     return scene
 
 
-def _require_own_cameras(cameras):
+def require_own_cameras(cameras):
     """Raise ParameterError for a file of a --path where cameras of the capture are meant."""
     from rainsim.scene.shot import is_shot
 
@@ -163,7 +171,7 @@ def scene_to_look_at(name, given):
     """
     from rainsim.errors import GroundError
 
-    _require_own_cameras(given.get("cameras"))
+    require_own_cameras(given.get("cameras"))
     try:
         return scene_of(name, given), False
     except GroundError:

@@ -296,8 +296,10 @@ picture_options = group(
                  "composed of (needs rainsim[exr])."),
     click.option("--exr-name", metavar="NAME.%04d.exr", show_default="rain.%04d.exr",
                  help="With --exr: name of the files, with the place of the frame's number."),
-    click.option("--frame-start", type=click.IntRange(0, 10**8), metavar="N", show_default="0",
-                 help="With --exr: number of the first frame."),
+    click.option("--frame-start", type=click.IntRange(0, 10**8), metavar="N",
+                 show_default="the path's, or 0",
+                 help="With --exr and --video: number of the first frame, in names, headers and "
+                 "time code."),
     click.option("--colorspace", type=click.Choice(["rec709", "acescg"]), show_default="rec709",
                  help="With --exr: of the light in it, linear Rec. 709 or ACEScg."),
 )  # fmt: skip

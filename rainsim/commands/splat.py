@@ -15,6 +15,7 @@ from rainsim.commands.given import (
     DEFAULT_WIDTH,
     named_camera,
     require_backend,
+    require_own_cameras,
 )
 from rainsim.commands.options import FILE, Numbers
 from rainsim.errors import ParameterError, require_positive
@@ -86,6 +87,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
     if given["hit"] and out.suffix.lower() != ".npz":
         raise ParameterError(f"--hit goes with --out FILE.npz, not {out}; leave it out")
     _check(given)
+    require_own_cameras(given["cameras"])
     import numpy as np
 
     from rainsim.jit import set_threads

@@ -9,11 +9,11 @@ from rainsim.commands.compile import compiled_beside
 from rainsim.commands.given import (
     cameras_of,
     check_camera_options,
+    first_frame,
     mask_of,
     masks_named,
     paths_in,
     settings,
-    shot_in,
     view_on,
     water_mask_of,
 )
@@ -54,8 +54,7 @@ def world(scene, parts, frame_start, preset, out, overwrite, as_json, quiet, cla
     config = settings(preset, given)
     check_camera_options(given)
     _require_usd()
-    shot = shot_in(given, config.fps)
-    first = frame_start if frame_start is not None else (shot.first if shot else 0)
+    first = first_frame({**given, "frame_start": frame_start}, config.fps)
     from rainsim.compiling.uses import SIMULATE
     from rainsim.jit import set_threads
     from rainsim.output_folder import Record, claimed, relative, settings_content, settings_facts

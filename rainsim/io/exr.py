@@ -42,7 +42,12 @@ def half_or_float(values):
 
     A value of 8 times white is rounded by up to .002 of white in a half float.
     """
-    return half(values) if np.max(values, initial=0) <= BRIGHT else values.astype(np.float32)
+    return half(values) if fits_half(values) else values.astype(np.float32)
+
+
+def fits_half(values):
+    """Tell whether light is dark enough for half floats."""
+    return bool(np.max(values, initial=0) <= BRIGHT)
 
 
 def write_parts(path, parts, header, frame_rate):

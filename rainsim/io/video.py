@@ -66,6 +66,7 @@ class VideoFormat(NamedTuple):
 
     codec: str = "h264"  # of `CODECS`
     quality: float | None = None  # from 0 to 100; None for what is usual for the codec
+    start: int = 0  # number of the first frame, which the time code has; at 0 there is none
 
     @property
     def name(self):
@@ -76,7 +77,7 @@ class VideoFormat(NamedTuple):
     def settings(self):
         """The arguments for the function of imageio_ffmpeg that writes frames, dict."""
         codec = CODECS[self.codec]
-        if self == USUAL:
+        if self._replace(start=0) == USUAL:
             return {"codec": codec.encoder, "quality": 8}
         rate = codec.usual if self.quality is None else codec.rate(self.quality)
         more = [*rate, *codec.more, *COLORS]
@@ -87,6 +88,16 @@ class VideoFormat(NamedTuple):
 
 
 USUAL = VideoFormat()
+
+
+def time_code(frame, fps):
+    """Return the time code of a frame's number, without drop frames: 1001 at 24/s is 00:00:41:17.
+
+    Frame rates such as 23.976 count as the whole one above, as is usual.
+    """
+    whole = max(round(fps), 1)
+    seconds, left = divmod(frame, whole)
+    return f"{seconds // 3600 % 24:02}:{seconds // 60 % 60:02}:{seconds % 60:02}:{left:02}"
 
 
 def require_video(video=USUAL):
@@ -155,13 +166,17 @@ class VideoWriter:
         height, width = image.shape[:2]
         image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
         if self._sender is None:
+            settings = self._format.settings
+            if self._format.start > 0:
+                code = "-timecode", time_code(self._format.start, self._fps)
+                settings["output_params"] = [*settings.get("output_params", ()), *code]
             self._sender = self._module.write_frames(
                 str(self._temporary),
                 (image.shape[1], image.shape[0]),
                 fps=self._fps,
                 macro_block_size=2,
                 ffmpeg_log_level="error",
-                **self._format.settings,
+                **settings,
             )
             self._sender.send(None)
         self._sender.send(np.ascontiguousarray(image))

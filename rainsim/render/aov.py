@@ -153,7 +153,7 @@ def recompose(aovs, drop, around, air, brightness):
     return image
 
 
-def spread_field(drop, height, width):
+def spread_field(drop, height, width, rows=slice(None)):
     """Interpolate the radiance of drops from a few places of the picture to its pixels.
 
     Parameters
@@ -161,17 +161,19 @@ def spread_field(drop, height, width):
     drop : array_like of shape (rows, columns, 3) or (3,)
         At places from edge to edge, see `falling_light`; (3,) is even over the picture.
     height, width : int [px]
+    rows : slice
+        The rows of the picture that are wanted.
 
     Returns
     -------
-    ndarray of shape (height, width, 3) or (3,), float64
+    ndarray of shape (rows, width, 3) or (3,), float64
     """
     drop = np.asarray(drop, np.float64)
     if drop.ndim == 1:
         return drop
-    v = (np.arange(height) + 0.5) / height * (drop.shape[0] - 1)
+    v = (np.arange(height)[rows] + 0.5) / height * (drop.shape[0] - 1)
     u = (np.arange(width) + 0.5) / width * (drop.shape[1] - 1)
     j, i = v.astype(int), u.astype(int)
     b, a = (v - j)[:, None, None], (u - i)[None, :, None]
-    rows = drop[j] * (1 - b) + drop[j + 1] * b
-    return rows[:, i] * (1 - a) + rows[:, i + 1] * a
+    lines = drop[j] * (1 - b) + drop[j + 1] * b
+    return lines[:, i] * (1 - a) + lines[:, i + 1] * a

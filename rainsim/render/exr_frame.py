@@ -15,7 +15,8 @@ import numpy as np
 
 from rainsim import __version__
 from rainsim.errors import ParameterError
-from rainsim.io.exr import half, half_or_float, write_parts
+from rainsim.io.exr import fits_half, half, write_parts
+from rainsim.numerics.blocks import ROWS, in_blocks
 from rainsim.numerics.color_spaces import SPACES, from_rec709
 from rainsim.render.aov import spread_field
 from rainsim.shading.composite import splash_light
@@ -28,6 +29,7 @@ LIGHT = {  # part: layer
     "dry": "dry", "film": "film", "reflection": "reflection", "refraction": "refraction",
     "highlight": "highlight", "glare": "glare",
 }  # fmt: skip
+ELEMENTS = ("near", "streaks", "spray", "splashes", "air")  # of the rain, front to back
 SHARES = ("coverage", "fresnel", "transmission", "wetness", "matte")
 DEPTHS = {"rain": "rain_depth", "near": "near_depth", "streaks": "streak_depth",
           "spray": "spray_depth"}  # fmt: skip
@@ -38,7 +40,7 @@ LAYERS = (
     *LIGHT.values(), *SHARES, *IDS.values(),
 )  # fmt: skip
 PARTS = (  # in their order in the file; viewers show the first
-    "beauty", "rain", "near", "streaks", "spray", "splashes", "air", "depth", "position", "normal",
+    "beauty", "rain", *ELEMENTS, "depth", "position", "normal",
     "motion", "wet", *LIGHT, *SHARES, "water_depth", "ids",
 )  # fmt: skip
 LEAST_PAST = 1e-6  # share of light that near drops and spray let through: behind less nothing shows
@@ -156,41 +158,74 @@ def parts_of(report, colorspace="rec709"):
 
 
 def light_parts_of(report, colorspace):
-    """Return those of `parts_of` that hold light, and shares of it, without their depth."""
-    layers = report.aovs
+    """Return those of `parts_of` that hold light, and shares of it, without their depth.
+
+    Bands of rows are computed by themselves: the double precision of whole 4K frames is gigabytes.
+    """
     matrix = from_rec709(SPACES[colorspace]) * report.light["brightness"]
+    parts, bright = _filled(report, matrix, np.float16)
+    if bright:  # lamps are rare
+        for part, channels in _filled(report, matrix, np.float32, bright)[0].items():
+            parts[part] |= channels
+    return parts | {name: {"Y": half(report.aovs[name])} for name in SHARES}
 
-    def light(values):
-        return _channels("RGB", half_or_float(np.asarray(values, np.float64) @ matrix.T))
 
-    opaque = np.ones(layers["beauty"].shape[:2], np.float16)
-    # The layer has its brightness already.
-    seen = layers["beauty"] / np.float64(report.light["brightness"] or 1)
-    parts = {"beauty": {**light(seen), "A": opaque}}
-    for part, (radiance, alpha) in _elements(report).items():
-        parts[part] = {**light(radiance), "A": half(alpha)}
-    parts["wet"] = light(layers["wet"].astype(np.float64) - layers["film"])
-    parts |= {part: light(layers[layer]) for part, layer in LIGHT.items()}
-    return parts | {name: {"Y": half(layers[name])} for name in SHARES}
+def _filled(report, matrix, kind, only=None):
+    """Return planes of the parts with light by part and channel, and the parts too bright for half.
+
+    With `only`, the channels R, G and B of these parts alone.
+    """
+    height, width = report.aovs["beauty"].shape[:2]
+    parts, bright = {}, set()
+    for part in ("beauty", "rain", *ELEMENTS, "wet", *LIGHT):
+        if only is None or part in only:
+            names = "RGBA" if only is None and part not in ("wet", *LIGHT) else "RGB"
+            parts[part] = {name: np.empty((height, width), kind) for name in names}
+
+    def fill(rows):
+        for part, (light, alpha) in _light_of(report, rows).items():
+            if part not in parts:
+                continue
+            light = np.asarray(light, np.float64) @ matrix.T
+            if not fits_half(light):
+                bright.add(part)
+            for name, values in _channels("RGB", light).items():
+                parts[part][name][rows] = half(values) if kind == np.float16 else values
+            if "A" in parts[part]:
+                parts[part]["A"][rows] = half(alpha)
+
+    in_blocks(fill, height, max(ROWS // width, 1))
+    return parts, bright
+
+
+def _light_of(report, rows):
+    """Return light and alpha, None without one, of rows of each part that has light."""
+    layers = {name: values[rows] for name, values in report.aovs.items()}
+    seen = layers["beauty"] / np.float64(report.light["brightness"] or 1)  # the layer has it
+    wet = layers["wet"].astype(np.float64) - layers["film"]
+    return {
+        "beauty": (seen, 1), **_elements(report, rows), "wet": (wet, None),
+        **{part: (layers[layer], None) for part, layer in LIGHT.items()},
+    }  # fmt: skip
 
 
 def _channels(names, values):
     return {name: values[..., k] for k, name in enumerate(names)}
 
 
-def _elements(report):
-    """Return radiance, multiplied by alpha, and alpha of what stands before the wet scene.
+def _elements(report, rows):
+    """Return radiance, multiplied by alpha, and alpha of what stands before rows of the wet scene.
 
     By part: the rain whole, and what it is made of from the front to the back.
     """
     layers, shape = report.aovs, report.aovs["beauty"].shape[:2]
     past = {
-        name: 1 - layers[f"{name}_alpha"].astype(np.float64)
+        name: 1 - layers[f"{name}_alpha"][rows].astype(np.float64)
         for name in ("rain", "near", "spray", "splash")
     }
     before = past["near"] * past["spray"]
     streaks = np.where(before > LEAST_PAST, past["rain"] / np.maximum(before, LEAST_PAST), 1)
-    drops, sheets = (spread_field(report.light[name], *shape) for name in ("drop", "around"))
+    drops, sheets = (spread_field(report.light[name], *shape, rows) for name in ("drop", "around"))
     air = np.asarray(report.light["air"], np.float64)
     radiance = {
         "near": drops, "streaks": drops, "spray": drops, "splashes": splash_light(drops, sheets),
@@ -199,10 +234,10 @@ def _elements(report):
     alphas = {
         "near": 1 - past["near"], "streaks": np.clip(1 - streaks, 0, 1),
         "spray": 1 - past["spray"], "splashes": 1 - past["splash"],
-        "air": 1 - layers["transmission"].astype(np.float64),
+        "air": 1 - layers["transmission"][rows].astype(np.float64),
     }  # fmt: skip
     apart = {part: (radiance[part] * a[..., None], a) for part, a in alphas.items()}
-    whole, through = np.zeros((*shape, 3)), np.ones(shape)
+    whole, through = 0.0, np.ones(past["rain"].shape)
     for light, alpha in apart.values():
         whole, through = whole + through[..., None] * light, through * (1 - alpha)
     return {"rain": (whole, 1 - through), **apart}

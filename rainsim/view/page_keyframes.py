@@ -62,12 +62,12 @@ def values_of(config):
 
 def table_of(keyframes):
     """Return the list as Markdown."""
-    lines = ["| | s | mm/h | mm | wind | wetness |", "|---|---|---|---|---|---|"]
+    head = "| | s | rain mm/h | past mm | wind m/s, to ° | wetness |"
+    lines = [head, "|---|--:|--:|--:|--:|--:|"]
     for n, (at, keyframe) in enumerate(zip(times_of(keyframes), keyframes, strict=True), 1):
         rain, past, speed, way, wetness = values_of(keyframe.config).values()
-        lines.append(
-            f"| {n} | {at:g} | {rain:.4g} | {past:.4g} | {speed:.3g} to {way:.0f} | {wetness:.3g} |"
-        )
+        wind = f"{speed:.3g} to {way:.0f}"
+        lines.append(f"| **{n}** | {at:g} | {rain:.4g} | {past:.4g} | {wind} | {wetness:.3g} |")
     return "\n".join(lines)
 
 

@@ -183,6 +183,13 @@ def test_a_path_is_saved_and_drawn_here(server, open_page):
     page.press("draw the saved one here")
     page.wait_until(lambda: page.says("3 of 3 frames, drawn in"), 300)
     assert len(list((again / "drawn/frames").iterdir())) == 3
+    pytest.importorskip("imageio_ffmpeg")
+    page.press("make a video of the path")  # saves it and draws it
+    film = server[2] / "home/path-003"
+    page.wait_until((film / "drawn/video.mp4").is_file, 300)
+    page.wait_until(lambda: page.says("3 of 3 frames, drawn in"))
+    assert "--video" in (film / "command.txt").read_text()
+    assert (film / "drawn/video.mp4").stat().st_size > 1000
 
 
 def test_the_list_of_keyframes_is_edited_and_played(server, open_page, root):

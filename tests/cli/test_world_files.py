@@ -40,6 +40,17 @@ def test_a_run_draws_the_frames_of_a_camera_in_the_ground_frame(
         np.testing.assert_allclose(ground.forward, [0, 1, 0], atol=1e-9)
 
 
+def test_files_are_numbered_as_the_camera_s_frames(rainsim, scene_folder, tmp_path):
+    pytest.importorskip("OpenEXR")
+    shot_json(tmp_path)
+    run = "run", "--scene", scene_folder, *FILM, "--path", "camera.json", "--exr"
+    for more, first in (((), 1001), (("--frame-start", "7"), 7)):
+        done = rainsim(*run, *more, "--frames", "1", "--out", f"from_{first}")
+        assert done.code == 0, done.err
+        (path,) = (tmp_path / f"from_{first}/exr").iterdir()
+        assert path.name == f"rain.{first:04}.exr"
+
+
 def test_numbers_of_a_camera_over_the_capture_count_as_they_stand(rainsim, scene_folder, tmp_path):
     shot_json(tmp_path, up_axis="Y", meters_per_unit=7)
     done = rainsim("run", "--scene", scene_folder, *FILM, "--path", "camera.json", "--fps", "12",
@@ -65,9 +76,11 @@ def test_options_of_a_path_that_do_not_fit_are_refused(arguments, message, rains
     assert done.code == 2 and message in done.error
 
 
-def test_a_camera_of_a_film_is_no_camera_of_a_capture(rainsim, scene_folder, tmp_path):
+@pytest.mark.parametrize("command", ["import", "splat"])
+def test_a_camera_of_a_film_is_no_camera_of_a_capture(command, rainsim, scene_folder, tmp_path):
     shot_json(tmp_path)
-    done = rainsim("import", scene_folder, "--cameras", "camera.json", "--out", "imported")
+    out = "imported" if command == "import" else "a.png"
+    done = rainsim(command, scene_folder, "--cameras", "camera.json", "--out", out)
     assert done.code == 2 and "draw along it with `rainsim run --path`" in done.error
 
 

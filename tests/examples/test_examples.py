@@ -64,7 +64,10 @@ def test_rain_over_a_plate(tmp_path):
     (tmp_path / "exr").mkdir()
     light = {"R": 0.1, "G": 0.2, "B": 0.0, "A": 0.5}
     rain = {name: half(np.full((4, 6), value)) for name, value in light.items()}
-    write_parts(tmp_path / "exr/a.0001.exr", [("rain", rain, {})], {}, 24.0)
+    none = {name: np.zeros_like(values) for name, values in rain.items()}
+    parts = {"near": rain, "streaks": none, "spray": none, "splashes": none, "air": rain}
+    parts = [(name, channels, {}) for name, channels in parts.items()]
+    write_parts(tmp_path / "exr/a.0001.exr", parts, {}, 24.0)
     write_png(tmp_path / "plate.png", np.full((4, 6, 3), 255, np.uint8))
     load("rain_over_a_plate").main(tmp_path / "exr", tmp_path / "plate.png", tmp_path / "over")
     picture = read_image(tmp_path / "over/a.0001.png")

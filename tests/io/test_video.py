@@ -1,5 +1,8 @@
 """Videos: an outside reader reads back what was written, in the codec that was asked for."""
 
+import re
+import subprocess
+
 import numpy as np
 import pytest
 
@@ -62,6 +65,16 @@ def test_each_codec_is_read_back_with_all_frames(ffmpeg, tmp_path, pictures, cod
         difference = again.astype(float) - picture
         assert np.abs(difference.mean(axis=(0, 1))).max() < 3  # no cast of colour
         assert np.sqrt((difference**2).mean()) < 8
+
+
+@pytest.mark.parametrize("codec", list(CODECS))
+def test_the_first_frame_s_number_is_the_time_code(ffmpeg, tmp_path, pictures, codec):
+    needs(ffmpeg, codec)
+    path = written(tmp_path, pictures, VideoFormat(codec, start=1001))
+    shown = subprocess.run([ffmpeg.get_ffmpeg_exe(), "-i", path], capture_output=True, text=True)
+    assert re.search(r"timecode *: 00:00:41:17", shown.stderr), shown.stderr
+    assert sum(1 for _ in ffmpeg.read_frames(str(path))) == COUNT + 1  # the first are facts
+    assert video.time_code(30 * 3600, 29.97) == "01:00:00:00"
 
 
 @pytest.mark.parametrize("codec", list(CODECS))

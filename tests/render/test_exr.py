@@ -11,6 +11,7 @@ from rainsim.errors import ParameterError, RainsimError
 from rainsim.io import exr as exr_files
 from rainsim.numerics.color_spaces import SPACES, from_rec709, xyz_from
 from rainsim.numerics.srgb import display
+from rainsim.render import exr_frame
 from rainsim.render.exr_frame import LAYERS, ExrFormat, parts_of, write_exr
 from rainsim.render.rain_layers import NEAR_DROPS
 from run_folders import exr_parts
@@ -171,8 +172,17 @@ def test_names_without_a_number_are_refused(name):
     assert "\n" not in str(caught.value) and "give one such as rain.%04d.exr" in str(caught.value)
 
 
-def test_lamps_are_written_as_floats(shot):
+def test_bands_of_rows_make_no_difference(shot, monkeypatch):
+    whole = parts_of(shot[1])
+    monkeypatch.setattr(exr_frame, "ROWS", 5 * shot[0].shape[1])
+    for part, channels in parts_of(shot[1]).items():
+        for name, values in channels.items():
+            np.testing.assert_array_equal(values, whole[part][name], err_msg=f"{part}.{name}")
+
+
+def test_lamps_are_written_as_floats(shot, monkeypatch):
     _, report = shot
+    monkeypatch.setattr(exr_frame, "ROWS", 5 * shot[0].shape[1])  # in one band of many
     aovs = {name: report.aovs[name] for name in LAYERS}
     for name in ("wet", "beauty"):
         aovs[name] = aovs[name] * np.float32(300 / aovs[name].max())

@@ -27,6 +27,9 @@ def test_the_estimate_follows_pixels_cells_and_layers():
     assert 2e9 < memory.memory_of_frames(scene, large) - least < 3e9
     assert 1e9 < memory.memory_of_frames(scene, small, cells=4_000_000) - least < 2e9
     assert memory.memory_of_frames(scene, large, layers=24) > memory.memory_of_frames(scene, large)
+    names, samples = range(31), SimpleNamespace(samples=2)
+    held = [memory.layers_held(names, *more) for more in ((), (1,), (1, samples), (None, samples))]
+    assert held == [31, 49, 66, 31]
 
 
 def test_frames_that_do_not_fit_are_refused_with_a_width_that_fits(free):

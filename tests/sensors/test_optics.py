@@ -198,6 +198,8 @@ def test_rolling_rows_are_those_of_their_time():
         (lambda: Optics(samples=0), "shutter samples is 0"),
         (lambda: Optics(readout=1.0), "at most 200 ms"),
         (lambda: Optics(samples=4).check("cuda", (), None), "--shutter-samples.*CPU only"),
+        (lambda: Optics(readout=0.02).check("cuda", (), None), "--rolling.*CPU only"),
+        (lambda: Optics(pane=Pane()).check("cuda", (), None), "--glass.*CPU only"),
         (lambda: Optics(readout=0.01).check("cpu", (), "exr"), "leave out --exr or --rolling"),
         (lambda: Optics(readout=0.01).check("cpu", ("flow",), None), "no layer flow"),
     ],
