@@ -44,7 +44,8 @@ def choices(config):
 
 def cuda_uses(layers=(), captured=False, scene=""):
     """Return the names of the recorded uses that a run on a GPU is like; see `uses_like`."""
-    found = [CUDA, *([CUDA_LAYERS] if layers else []), *([CAPTURE] if captured else [])]
+    found = [SIMULATE, CUDA]  # ground and standing water are the CPU's
+    found += [*([CUDA_LAYERS] if layers else []), *([CAPTURE] if captured else [])]
     kind = f"{CUDA}-{scene.partition(':')[0]}"
     return found + [kind for use in ALL_CUDA if use == kind]
 
