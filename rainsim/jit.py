@@ -5,82 +5,19 @@
 """
 
 import functools
-import hashlib
-import re
-import shutil
-from pathlib import Path
 
 from rainsim.compiling.folder import CACHE_FOLDER  # before numba: it sets where numba looks
 
-# Kernels of the CPU are kept by `compiling.kernel_cache`. Those of a GPU are kept by numba, which
-# keys them on the file that holds a kernel, not on the files of the functions that the kernel
-# calls: an edited helper would keep its old machine code. So every such module has a folder for its
-# kernels, named by a hash of that module and of all modules of ours that it imports.
-_KEPT_VERSIONS = 4  # of a module, whose machine code is kept
-_PACKAGE = Path(__file__).parent
-_IMPORT = re.compile(
-    r"^\s*(?:from (rainsim[\w.]*) import (\([^)]*\)|[^\n]*)|import (rainsim[\w.]+))", re.M
-)
+# isort: split
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import get_num_threads, njit, prange, types
+from numba.core import cgutils
+from numba.extending import intrinsic, register_jitable
 
-
-def _file_of(module):
-    path = _PACKAGE.joinpath(*module.split(".")[1:])
-    for file in (path.with_suffix(".py") if path != _PACKAGE else path, path / "__init__.py"):
-        if file.is_file():
-            return file
-    return None
-
-
-@functools.cache
-def _content_and_imports(module):
-    """Return the bytes of a module and the names of the modules of ours that it imports."""
-    content = _file_of(module).read_bytes()
-    names = {module.rpartition(".")[0]} - {""}
-    for package, members, plain in _IMPORT.findall(content.decode()):
-        names.add(package or plain)
-        names.update(f"{package}.{name}" for name in re.findall(r"\w+", members) if package)
-    return content, {name for name in names if _file_of(name)}
-
-
-@functools.cache
-def kernel_folder(module):
-    """Return the folder for the machine code of one module."""
-    if module.partition(".")[0] != "rainsim":
-        return CACHE_FOLDER / module  # a test's own kernel, a variant in a benchmark
-    found, todo = set(), {module}
-    while todo:
-        name = todo.pop()
-        found.add(name)
-        todo |= _content_and_imports(name)[1] - found
-    digest = hashlib.sha256()
-    for name in sorted(found):
-        digest.update(_content_and_imports(name)[0])
-    folder = CACHE_FOLDER / module / digest.hexdigest()[:16]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        folder.touch()  # the newest are kept
-        others = sorted(folder.parent.iterdir(), key=lambda f: f.stat().st_mtime, reverse=True)
-        for old in others[_KEPT_VERSIONS:]:
-            shutil.rmtree(old, ignore_errors=True)
-    except OSError:  # another process tidies up at the same time
-        pass
-    return folder
-
-
-import numba  # noqa: E402  (the cache folder must be known before numba is imported)
-import numpy as np  # noqa: E402
-from llvmlite import ir  # noqa: E402
-from numba import (  # noqa: E402
-    get_num_threads,
-    njit,
-    prange,
-    types,
-)
-from numba.core import cgutils  # noqa: E402
-from numba.extending import intrinsic, register_jitable  # noqa: E402
-
-from rainsim.compiling import callees  # noqa: E402
-from rainsim.compiling.kernel_cache import KernelCache  # noqa: E402
+from rainsim.compiling import callees
+from rainsim.compiling.kernel_cache import KernelCache
 
 # Not fastmath=True: that assumes away NaN and infinity, which kernels must see.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -189,7 +126,6 @@ __all__ = [
     "inlined_function",
     "intrinsic",
     "ir",
-    "kernel_folder",
     "lean_function",
     "may_run_beside",
     "none_taken",

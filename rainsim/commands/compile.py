@@ -48,15 +48,16 @@ def compiled_beside(status, uses, threads=None):
 
 def uses_of(scene, config, layers=(), backend="cpu"):
     """Return the recorded uses that a run of a scene, a name or a path, is like."""
-    from rainsim.compiling.uses import CAPTURE, SIMULATE, uses_like
+    from rainsim.compiling.uses import cuda_uses, uses_like
     from rainsim.config.settings import Config
     from rainsim.scene.library import is_capture
 
     captured = is_capture(scene)
-    if backend == "cuda":  # draws with kernels of its own; ground and standing water are the CPU's
-        return [SIMULATE, *([CAPTURE] if captured else [])]
+    name = "" if captured else str(scene)
+    if backend == "cuda":
+        return cuda_uses(layers, captured, name)
 
     def config_of(preset, changes):
         return Config.from_preset(preset).replace(**changes)
 
-    return uses_like(config, config_of, layers, captured, "" if captured else str(scene))
+    return uses_like(config, config_of, layers, captured, name)

@@ -3,7 +3,8 @@
 Writes the list that `rainsim.compiling` compiles from. Run it after a kernel, its arguments or what
 it is called with have changed; it needs a minute or two once the kernels are compiled. With names
 of uses only these are run, and the others keep what was recorded for them. Each use runs in a
-process of its own: `... record --one USE` prints what it calls as lines of JSON.
+process of its own: `... record --one USE` prints what it calls as lines of JSON. Uses on a GPU,
+which begin with cuda, have a list of their own and are run if they are named, or with `--cuda`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 
 from rainsim.compiling import recorded
@@ -21,7 +23,11 @@ from rainsim.compiling.pool import VARIABLE, processes
 from rainsim.compiling.recorded import STAGES, TERRAIN, Recorded
 from rainsim.compiling.uses import (
     ALL,
+    ALL_CUDA,
     CAPTURE,
+    CUDA,
+    CUDA_LAYERS,
+    CUDA_TRAFFIC,
     HEIGHTMAP,
     LAYERS,
     LIDAR,
@@ -54,6 +60,8 @@ def command_lines(use, folder):
     if use == LIDAR:
         return [("lidar", SCENE, "--rain", "0,25", "--spacing", "0.05", "--out",
                  f"{folder}/turns", "-q")]  # fmt: skip
+    if use in ALL_CUDA:
+        return _cuda_lines(use, folder)
     scene = f"{folder}/{CAPTURE}" if use == CAPTURE else use if use in SCENES else SCENE
     preset, changes = USES.get(use, USES["downpour" if use in SCENES else "drizzle"])
     words = [word for name, value in changes.items() for word in (f"--{name}", value)]
@@ -63,6 +71,19 @@ def command_lines(use, folder):
     return [
         ("run", "--scene", scene, "--preset", preset, *SIZE, "--frames", count, *words, "--out",
          f"{folder}/frames", "-q"),
+    ]  # fmt: skip
+
+
+def _cuda_lines(use, folder):
+    """Return the command lines of a use on a GPU: sequences, since frames are drawn ahead."""
+    scene = SCENE if use in (CUDA, CUDA_LAYERS) else use.removeprefix(f"{CUDA}-")
+    words = {CUDA_LAYERS: ["--layers", "all"], CUDA_TRAFFIC: ["--drive"]}.get(use, ["--orbit"])
+    runs = [("downpour", ["--frames", "1"])] if use == CUDA else []
+    runs += [(preset, ["--frames", "4", *words]) for preset in ("downpour", "drizzle", "flood")]
+    return [
+        ("run", "--backend", "cuda", "--scene", scene, "--preset", preset, *SIZE, *more,
+         "--out", f"{folder}/{number}", "-q")
+        for number, (preset, more) in enumerate(runs)
     ]  # fmt: skip
 
 
@@ -95,9 +116,9 @@ def run_one(use):
 
 
 def _run(commands, use, folder, found):
-    from rainsim.compiling.watching import watched
+    from rainsim.compiling.watching import watched, watched_cuda
 
-    with watched(found):
+    with watched(found), watched_cuda(found) if use in ALL_CUDA else nullcontext():
         for command, *words in command_lines(use, folder):
             commands[command].main(args=words, standalone_mode=False)
 
@@ -139,7 +160,7 @@ def merged(old, found, use):
     times = {entry.kernel: entry.seconds for entry in old.values()}
     result = {}
     for name, entry in old.items():
-        uses = tuple(kept for kept in entry.uses if kept != use and kept in ALL)
+        uses = tuple(kept for kept in entry.uses if kept != use and kept in (*ALL, *ALL_CUDA))
         if uses or name in found:
             result[name] = replace(entry, uses=uses)
     for name, entry in found.items():
@@ -153,8 +174,10 @@ def main(words):
     if words[:1] == ["--one"]:
         run_one(words[1])
         return
-    if unknown := set(words) - set(ALL):
-        sys.exit(f"no use is called {', '.join(sorted(unknown))}; the uses: {', '.join(ALL)}")
+    words = [*ALL_CUDA] if words == ["--cuda"] else words
+    known = (*ALL, *ALL_CUDA)
+    if unknown := set(words) - set(known):
+        sys.exit(f"no use is called {', '.join(sorted(unknown))}; the uses: {', '.join(known)}")
     first, *others = words or ALL
     _write(first, record(first))  # alone: it compiles what the others call, too
     with ThreadPoolExecutor(processes()) as threads:
@@ -164,9 +187,10 @@ def main(words):
 
 def _write(use, found):
     """Write the list with what a use calls, and say how long it is."""
-    old = {e.name: e for e in recorded.read_list()} if recorded.FILE.is_file() else {}
+    file = recorded.CUDA_FILE if use in ALL_CUDA else recorded.FILE
+    old = {e.name: e for e in recorded.read_list(file)} if file.is_file() else {}
     entries = merged(old, found, use)
-    recorded.write_list(entries.values())
+    recorded.write_list(entries.values(), file)
     seconds = sum(entry.seconds for entry in entries.values())
     line = f"{use}: {len(found)} kernels; {len(entries)} in all, {seconds:.0f} s to compile"
     print(line, file=sys.stderr, flush=True)

@@ -9,7 +9,7 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside
-from rainsim.commands.given import paths_in
+from rainsim.commands.given import paths_in, require_backend
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import RainsimError
 
@@ -231,21 +231,26 @@ def _comment(text):
 
 
 @click.command(short_help="Compile once for this machine.")
+@options.backend_option
 @click.option("--quiet", "-q", is_flag=True, help="Print errors only.")
-def warmup(quiet):
+def warmup(backend, quiet):
     """Compile everything for this machine, once; later runs start at once.
+
+    With `--backend cuda` this is everything that runs on a GPU need.
 
     \b
     Example:
         rainsim warmup
     """
     from rainsim.compiling.start import compile_here
-    from rainsim.compiling.uses import ALL
+    from rainsim.compiling.uses import ALL, ALL_CUDA, CAPTURE, SIMULATE
 
     status = Status(quiet)
-    with status, compiled_beside(status, ALL) as pool:
+    require_backend(backend)
+    uses = (SIMULATE, CAPTURE, *ALL_CUDA) if backend == "cuda" else ALL
+    with status, compiled_beside(status, uses) as pool:
         if pool is None:
-            compile_here(ALL, status.compiling)
+            compile_here(uses, status.compiling)
         else:
             pool.join()
     status.say(f"ready ({status.seconds:.0f} s)")

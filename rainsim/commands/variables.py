@@ -12,6 +12,8 @@ VARIABLES = {
     "command itself; default: one for each core and 700 MB of free memory",
     "RAINSIM_KERNELS": "off leaves the package rainsim-kernels unused: all kernels are compiled "
     "here, for the processor of this machine",
+    "RAINSIM_CUDA_CAPABILITY": "compute capability, such as 9.0, that a process compiles for "
+    "without a GPU; rainsim sets it for those that compile",
     "NUMBA_CACHE_DIR": "folder of compiled kernels; default: the user's cache folder",
     "NUMBA_NUM_THREADS": "most threads; --threads takes some of them",
     "NUMBA_CPU_NAME": "processor that kernels are compiled for; x86-64-v3, with "

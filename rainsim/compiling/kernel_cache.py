@@ -27,8 +27,10 @@ VERSIONS = (
 )
 
 
-class KernelCache(caching.FunctionCache):
-    """numba's cache of one kernel, in a folder and under a name of our own.
+class KeptKernel:
+    """The part of a cache of one kernel that CPU and GPU share; numba's own is the next base.
+
+    Its files lie in a folder and under a name of our own.
 
     The name is found when the kernel is first called or asked for, because all functions that it
     uses must exist by then.
@@ -42,6 +44,8 @@ class KernelCache(caching.FunctionCache):
     options : str
         The kernel's compiler options.
     """
+
+    _kept = KEPT_VERSIONS
 
     def __init__(self, function, place, options):
         self._name = repr(function)
@@ -57,7 +61,7 @@ class KernelCache(caching.FunctionCache):
 
     @functools.cached_property
     def _impl(self):
-        return _Implementation(self._py_func, _KeyedLocator(self._folder, self.key))
+        return self._implementation(self._py_func, _KeyedLocator(self._folder, self.key))
 
     @property
     def _cache_path(self):
@@ -116,7 +120,7 @@ class KernelCache(caching.FunctionCache):
             versions = sorted(
                 self._folder.glob(f"*.{name}-*.nbi"), key=lambda file: -file.stat().st_mtime
             )
-            for index in versions[KEPT_VERSIONS:]:
+            for index in versions[self._kept :]:
                 for file in self._folder.glob(f"{index.stem}.*"):
                     file.unlink(missing_ok=True)
         except OSError:  # another process tidies up at the same time
@@ -166,3 +170,9 @@ class _KeyedLocator(caching._CacheLocator):
 
     def get_disambiguator(self):
         return self._key
+
+
+class KernelCache(KeptKernel, caching.FunctionCache):
+    """The cache of one kernel of the CPU."""
+
+    _implementation = _Implementation

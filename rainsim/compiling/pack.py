@@ -1,7 +1,8 @@
 """Make the wheel rainsim-kernels: `python -m rainsim.compiling.pack --out FOLDER`.
 
 It holds the machine code of the recorded kernels, compiled for `shipped.PROCESSOR`, and a manifest
-of what it was made for; no code of Python. `shipped` loads it.
+of what it was made for; no code of Python. `shipped` loads it. With `--cuda 9.0` it also holds
+those of GPUs of that compute capability: numba-cuda must be installed, a GPU is not needed.
 """
 
 import argparse
@@ -16,10 +17,11 @@ import zipfile
 from pathlib import Path
 
 from rainsim import __version__
-from rainsim.compiling import shipped
+from rainsim.compiling import gpu, shipped
 from rainsim.compiling.folder import NAME
 from rainsim.compiling.pool import Pool, processes
-from rainsim.compiling.recorded import read_list
+from rainsim.compiling.recorded import needed, on_gpu
+from rainsim.compiling.uses import ALL, ALL_CUDA
 
 METADATA = """Metadata-Version: 2.1
 Name: {name}
@@ -38,7 +40,7 @@ Tag: {tag}
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of all files: a wheel's bytes do not depend on the day
 
 
-def make(out, entries, progress=None):
+def make(out, entries, progress=None, capabilities=()):
     """Compile recorded kernels and write them as a wheel.
 
     Parameters
@@ -46,8 +48,11 @@ def make(out, entries, progress=None):
     out : path-like
         The wheel's folder, which is created.
     entries : list of Recorded
+        Those of the GPU count if there are capabilities.
     progress : callable, optional
         As for `Pool`.
+    capabilities : sequence of str
+        Compute capabilities that the kernels of the GPU are compiled for.
 
     Returns
     -------
@@ -63,24 +68,32 @@ def make(out, entries, progress=None):
         # Without Intel's library of vector functions, which a user may not have.
         own = {"NUMBA_CACHE_DIR": work, "NUMBA_DISABLE_INTEL_SVML": "1"}
         own |= shipped.PROCESSOR | {shipped.VARIABLE: shipped.OFF}
-        with Pool(entries, processes(), progress, own) as pool:
-            pool.join()
-        if pool.stale or pool.compiled < len(entries):
-            why = pool.stale[0] if pool.stale else "a process that compiles has ended"
-            raise RuntimeError(f"{pool.compiled} of {len(entries)} kernels were compiled: {why}")
+        _compile([entry for entry in entries if not on_gpu(entry)], progress, own)
+        for one in capabilities:
+            device = own | {gpu.CAPABILITY: one}
+            _compile([entry for entry in entries if on_gpu(entry)], progress, device)
         place = Path(work) / NAME
         files = {
             file.relative_to(place).as_posix(): file.read_bytes()
             for file in sorted(place.glob("*/*.nb[ic]"))
         }
-    return _write_wheel(Path(out), files)
+    return _write_wheel(Path(out), files, capabilities)
 
 
-def _write_wheel(out, files):
+def _compile(entries, progress, environment):
+    with Pool(entries, processes(), progress, environment) as pool:
+        pool.join()
+    if pool.stale or pool.compiled < len(entries):
+        why = pool.stale[0] if pool.stale else "a process that compiles has ended"
+        raise RuntimeError(f"{pool.compiled} of {len(entries)} kernels were compiled: {why}")
+
+
+def _write_wheel(out, files, capabilities):
     """Write the wheel of some files, by name; return its path."""
     versions = shipped.versions()
     manifest = {
         "versions": versions, **shipped.PROCESSOR, "flags": shipped.FLAGS,
+        "cuda": {one: gpu.versions(one) for one in capabilities},
         "files": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
     }  # fmt: skip
     python = f"cp{sys.version_info.major}{sys.version_info.minor}"
@@ -122,10 +135,14 @@ def main(words=None):
     """Compile all recorded kernels and print the wheel's path and size."""
     parser = argparse.ArgumentParser(prog="python -m rainsim.compiling.pack", description=__doc__)
     parser.add_argument("--out", required=True, metavar="FOLDER", help="Where the wheel goes.")
-    out = parser.parse_args(words).out
+    parser.add_argument(
+        "--cuda", action="append", default=[], metavar="CAPABILITY", dest="capabilities",
+        help="A compute capability, such as 9.0, whose kernels are packed too; may be repeated.",
+    )  # fmt: skip
+    given = parser.parse_args(words)
     if sys.platform != "linux" or os.uname().machine != "x86_64":
         sys.exit("kernels are packed on Linux on x86-64 alone; run this there")
-    path = make(out, read_list(), _progress)
+    path = make(given.out, needed((*ALL, *ALL_CUDA)), _progress, given.capabilities)
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 

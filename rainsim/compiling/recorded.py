@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 FILE = Path(__file__).with_name("kernels.json")
+CUDA_FILE = Path(__file__).with_name("cuda_kernels.json")  # of uses on a GPU, recorded on one
 TERRAIN = "terrain"  # the stage that a run begins with
 STAGES = (TERRAIN, "frames")
 
@@ -59,6 +60,12 @@ def write_list(entries, file=FILE):
     file.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
 
 
-def needed(uses, file=FILE):
-    """Return the entries that any of some uses need."""
-    return [entry for entry in read_list(file) if set(entry.uses) & set(uses)]
+def needed(uses, files=(FILE, CUDA_FILE)):
+    """Return the entries that any of some uses need, each once."""
+    entries = [entry for file in files if file.is_file() for entry in read_list(file)]
+    return list({e.name: e for e in entries if set(e.uses) & set(uses)}.values())
+
+
+def on_gpu(entry):
+    """Return whether a kernel is one of the GPU's."""
+    return entry.kernel.startswith("rainsim.cuda.")

@@ -3,10 +3,10 @@
 import importlib
 import os
 
-from rainsim.compiling import shipped
+from rainsim.compiling import gpu, shipped
 from rainsim.compiling.folder import CACHE_FOLDER, stamp
 from rainsim.compiling.pool import Pool, processes
-from rainsim.compiling.recorded import needed
+from rainsim.compiling.recorded import needed, on_gpu
 from rainsim.compiling.uses import ALL
 
 KEPT_STAMPS = 64
@@ -33,8 +33,9 @@ def start(uses, most=None, progress=None, in_line=None):
         one, when it calls a kernel), or if NUMBA_DISABLE_JIT is set. The caller must
         close the pool, by `end`.
     """
-    entries = [] if _disabled() else needed(uses)
-    if not entries or (ready := stamp(entry.name for entry in entries)).exists():
+    entries, capability = _for_here(uses)
+    names = [entry.name for entry in entries] + gpu.versions(capability)
+    if not entries or (ready := stamp(names)).exists():
         return None
     lacking = missing(entries)
     if not lacking:
@@ -45,7 +46,7 @@ def start(uses, most=None, progress=None, in_line=None):
         if in_line is not None:
             in_line(len(lacking))
         return None
-    pool = Pool(lacking, count, progress)
+    pool = Pool(lacking, count, progress, {gpu.CAPABILITY: capability} if capability else None)
     pool.ready = ready
     return pool
 
@@ -66,7 +67,7 @@ def compile_here(uses, progress):
     """
     from rainsim.compiling.worker import compile_kernel
 
-    entries = [] if _disabled() else missing(needed(uses))
+    entries = missing(_for_here(uses)[0])
     total, behind = sum(entry.seconds for entry in entries), 0.0
     for done, entry in enumerate(entries):
         progress(behind / total if total else 1.0, done, len(entries))
@@ -109,6 +110,16 @@ def _lacks(entry, held=None):
         return not held(kernel, tuple(from_text(text) for text in split(entry.arguments)))
     except (ImportError, KeyError, UnknownType):
         return False
+
+
+def _for_here(uses):
+    """Return the recorded kernels of some uses, and the capability of the GPU if it is in them.
+
+    Without a GPU, as in numba's simulator, its kernels are left out.
+    """
+    entries = [] if _disabled() else needed(uses)
+    capability = gpu.capability() if any(map(on_gpu, entries)) else None
+    return [entry for entry in entries if capability or not on_gpu(entry)], capability
 
 
 def _disabled():

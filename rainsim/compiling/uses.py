@@ -21,6 +21,9 @@ LIDAR = "lidar"  # the command
 CAPTURE = "capture"  # a run of a capture: its surface, its sun and its sky are found first
 STREET, TRAFFIC = "street", "traffic"  # a run of that scene: its lamps, and its cars with spray
 SCENES = (STREET, TRAFFIC)
+# On a GPU: runs of several presets, of the two scenes, and one with layers.
+CUDA, CUDA_LAYERS, CUDA_STREET, CUDA_TRAFFIC = "cuda", "cuda-layers", "cuda-street", "cuda-traffic"
+ALL_CUDA = (CUDA, CUDA_LAYERS, CUDA_STREET, CUDA_TRAFFIC)
 ALL = (*USES, LAYERS, HEIGHTMAP, SIMULATE, SPLAT, LIDAR, CAPTURE, *SCENES)
 # Settings that choose kernels, by group.
 CHOICES = {
@@ -37,6 +40,14 @@ def choices(config):
     picked = [getattr(getattr(config, group), n) for group, names in CHOICES.items() for n in names]
     sky = config.render.sky == "capture"
     return (*picked, sky, config.water.level is not None, config.rain.rate > 0)
+
+
+def cuda_uses(layers=(), captured=False, scene=""):
+    """Return the names of the recorded uses that a run on a GPU is like; see `uses_like`."""
+    found = [SIMULATE, CUDA]  # ground and standing water are the CPU's
+    found += [*([CUDA_LAYERS] if layers else []), *([CAPTURE] if captured else [])]
+    kind = f"{CUDA}-{scene.partition(':')[0]}"
+    return found + [kind for use in ALL_CUDA if use == kind]
 
 
 def uses_like(config, config_of, layers=(), captured=False, scene=""):

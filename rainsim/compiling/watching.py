@@ -10,6 +10,31 @@ from rainsim.jit import KERNELS
 
 
 @contextlib.contextmanager
+def watched_cuda(found):
+    """Record, as `watched` does, which kernels of the GPU are called."""
+    from numba.cuda.dispatcher import CUDADispatcher
+
+    original = CUDADispatcher.compile
+
+    def compile_one(kernel, kinds):
+        missed = sum(kernel._cache_misses.values())
+        begin = time.thread_time()
+        result = original(kernel, kinds)
+        seconds = time.thread_time() - begin
+        name = getattr(kernel._cache, "kernel_name", None)
+        if name is not None:
+            compiled = sum(kernel._cache_misses.values()) > missed
+            found(name, ", ".join(map(to_text, kinds)), seconds if compiled else None)
+        return result
+
+    CUDADispatcher.compile = compile_one
+    try:
+        yield
+    finally:
+        CUDADispatcher.compile = original
+
+
+@contextlib.contextmanager
 def watched(found):
     """Record the first call of each kernel for each list of argument types.
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import importlib.util
 import os
 
+from rainsim.compiling.gpu import compiles_for
 from rainsim.errors import BackendError
 
 REMEDY = 'pip install "rainsim[cuda]"'
@@ -28,10 +29,13 @@ def trouble():
     """Return why the CUDA backend cannot run here, with the remedy; None if it can."""
     if simulated():
         return None
-    for package in ("numba_cuda", "cuda.compute"):
+    needs = ("numba_cuda", "cuda.compute")
+    for package in needs[:1] if compiles_for() else needs:
         if not _is_installed(package):
             name = {"numba_cuda": "numba-cuda", "cuda.compute": "cuda-cccl"}[package]
             return f"{name} is not installed; {REMEDY}"
+    if compiles_for():
+        return None
     import numba.cuda as numba_cuda
 
     try:

@@ -12,14 +12,15 @@ import os
 import numpy as np
 
 from rainsim.cuda import require
-from rainsim.jit import CACHE_FOLDER, kernel_folder
+from rainsim.jit import CACHE_FOLDER, KERNELS
 
 require()
 
-import numba  # noqa: E402
 from numba import cuda, types  # noqa: E402
 
 SIMULATED = bool(cuda.config.ENABLE_CUDASIM)
+if not SIMULATED:
+    from rainsim.cuda.kernel_cache import CudaKernelCache
 # Small maps and pictures are legitimate, so numba must not warn of low occupancy. Numba reads the
 # environment again when it changes, so the variable is set too.
 os.environ["NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS"] = "0"
@@ -29,23 +30,33 @@ FULL = 0xFFFFFFFF  # all lanes of a warp
 
 def _kernel(**options):
     def decorate(function):
-        # As in rainsim.jit: numba reads the folder when the function is decorated.
-        numba.config.CACHE_DIR = str(kernel_folder(function.__module__))
-        return cuda.jit(**options)(function)
+        kernel = cuda.jit(**options)(function)
+        if not SIMULATED:
+            folder = CACHE_FOLDER / function.__module__
+            kernel._cache = CudaKernelCache(function, folder, str(options))
+            KERNELS[kernel._cache.kernel_name] = kernel
+        return kernel
 
     return decorate
 
 
-cuda_kernel = _kernel(cache=not SIMULATED)
-fast_kernel = _kernel(cache=not SIMULATED, fastmath=True)
+cuda_kernel = _kernel()
+fast_kernel = _kernel(fastmath=True)
 # Fewer registers a thread than the compiler would use, so that more warps are resident at once.
 _TIGHT = {} if SIMULATED else {"max_registers": 96}
-tight_kernel = _kernel(cache=not SIMULATED, fastmath=True, **_TIGHT)
+tight_kernel = _kernel(fastmath=True, **_TIGHT)
 # For functions that only the twins' kernels call. Formulas shared with the CPU need no decorator
 # from here.
 _INLINED = {} if SIMULATED else {"forceinline": True}
 cuda_device = cuda.jit(device=True)
-fast_device = cuda.jit(device=True, fastmath=True, **_INLINED)
+
+
+def fast_device(function):
+    """Mark a function of the device that is compiled into its callers, without NaN."""
+    options = {"fastmath": True, **_INLINED}
+    function.compiler_options = str(options)  # part of its users' keys in the cache
+    return cuda.jit(device=True, **options)(function)
+
 
 if SIMULATED:
 

@@ -301,8 +301,8 @@ def test_the_list_reads_back_as_it_was_written(tmp_path):
     file = tmp_path / "list.json"
     write_list(entries, file)
     assert read_list(file) == entries[::-1]
-    assert needed(["drizzle"], file) == entries[1:]
-    assert needed(["flood"], file) == []
+    assert needed(["drizzle"], [file]) == entries[1:]
+    assert needed(["flood"], [file]) == []
 
 
 def test_each_use_is_recorded():
