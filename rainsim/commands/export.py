@@ -150,8 +150,9 @@ def export(
             f"--lidar is of --layout {' or '.join(SCANNED)}; give one, or leave it out"
         )
     lens, rig = lens_of(given), _rig(given, config, layout)
-    if readout_of(given) and backend == "cuda":
-        raise ParameterError("--rolling is drawn on the CPU only; leave out --backend cuda")
+    rolls = readout_of(given) or (rig is not None and any(s.readout for s in rig.cameras))
+    if rolls and backend == "cuda":
+        raise ParameterError("rolling shutters are drawn on the CPU only; leave out --backend cuda")
     require_backend(backend)
     from rainsim.datasets.shots import FLOWS, LABELS
 

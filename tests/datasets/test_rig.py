@@ -9,7 +9,7 @@ import pytest
 
 from rainsim import pipeline
 from rainsim.config.settings import Config
-from rainsim.datasets import beside, colmap, kitti, kitti_object, nerfstudio
+from rainsim.datasets import beside, colmap, kitti, kitti_object, nerfstudio, semantic_kitti
 from rainsim.datasets.data_files import write_file
 from rainsim.datasets.rig_shots import RigShots, check_rig, rig_views
 from rainsim.datasets.sample import Plan
@@ -236,6 +236,28 @@ def test_nerfstudio_has_a_lens_for_each_view(drawn):
     _, plan, *_ = drawn
     frames = nerfstudio.transforms(plan)["frames"]
     assert [frame.get("k1") for frame in frames] == [None] * 4 + [-0.1] * 4
+
+
+def test_other_layouts_of_kitti(drawn):
+    """The flow benchmark has flow of its left camera; SemanticKITTI has the same calibration."""
+    _, plan, found, folder = drawn
+    named = {f.name for n in ("left_000000", "right_000001")
+             for f in kitti.sample_files(found[0.0, n], plan)}  # fmt: skip
+    place = "clear/training"
+    wanted = {"image_2/000000_10.png", "calib/000000.txt", "image_3/000001_10.png",
+              "image_3/000000_11.png", "flow_occ/000000_10.png", "flow_noc/000000_10.png",
+              "label_2/000000.txt", "label_3/000001.txt",
+              "proj_depth/groundtruth/image_02/000000_10.png",
+              "proj_depth/groundtruth/image_03/000001_10.png"}  # fmt: skip
+    assert named == {f"{place}/{name}" for name in wanted}
+    files = {f.name: f.content for f in semantic_kitti.plan_files(plan, None)}
+    rows = files["clear/sequences/00/calib.txt"].splitlines()
+    own = (folder / place / "calib/000000.txt").read_text().splitlines()
+    assert rows == [*own[:4], own[5].replace("Tr_velo_to_cam", "Tr")]
+    assert np.fromstring(files["clear/sequences/00/times.txt"], sep="\n").tolist() == [0, 0.5]
+    assert len(files["clear/sequences/00/poses.txt"].splitlines()) == 2
+    cloud = {f.name for f in semantic_kitti.cloud_files(found[0.0, "top_000001"], plan)}
+    assert "clear/sequences/00/velodyne/000001.bin" in cloud
 
 
 def test_the_calibration_lies_beside(drawn):
