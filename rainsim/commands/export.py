@@ -83,6 +83,12 @@ MOST_LAYERS = 26  # AOVs of a picture's labels, and those of two that are being 
     help="Which lidar stands at the camera; with --layout kitti_object or semantic_kitti.",
 )
 @click.option(
+    "--rig",
+    type=FILE,
+    metavar="FILE.toml",
+    help="Cameras and lidars on a vehicle that follows --drive or --path, each at its own times.",
+)
+@click.option(
     "--partners",
     is_flag=True,
     help="Of each rainy picture also the same without what falls, without drops on the glass, and "
@@ -143,9 +149,10 @@ def export(
         raise ParameterError(
             f"--lidar is of --layout {' or '.join(SCANNED)}; give one, or leave it out"
         )
-    lens = lens_of(given)
-    if readout_of(given) and backend == "cuda":
-        raise ParameterError("--rolling is drawn on the CPU only; leave out --backend cuda")
+    lens, rig = lens_of(given), _rig(given, config, layout)
+    rolls = readout_of(given) or (rig is not None and any(s.readout for s in rig.cameras))
+    if rolls and backend == "cuda":
+        raise ParameterError("rolling shutters are drawn on the CPU only; leave out --backend cuda")
     require_backend(backend)
     from rainsim.datasets.shots import FLOWS, LABELS
 
@@ -154,7 +161,7 @@ def export(
         loaded = loaded_scene(status, scene, given)
         out = out or options.default_out(loaded.name, layout)
         cameras = _cameras(status, loaded, config, given)
-        plan = _plan(status, loaded, cameras, lens, rates, config, layout, given)
+        plan = _plan(status, loaded, cameras, lens, rates, config, layout, given, rig)
         card = _write(
             status, loaded, plan, config, layout=layout, out=out, overwrite=overwrite,
             resume=resume, backend=backend, labels=labels, given=given,
@@ -164,6 +171,25 @@ def export(
     total = counted(card["pictures"], "picture")
     status.say(f"{total} in {relative(out)} ({status.seconds:.1f} s)")
     options.echo({"out": str(out), **card}, as_json, str(out))
+
+
+def _rig(given, config, layout):
+    """Return the `Rig` of --rig, None without one."""
+    if given["rig"] is None:
+        return None
+    own = [key for key in ("lens", "rolling", "glass", "lidar") if given[key]]
+    if own or not (given["drive"] or given["path"] is not None):
+        raise ParameterError(
+            f"--rig is given with --{own[0]}; the rig's file has the sensors; leave that out"
+            if own
+            else "--rig needs a way; it must follow --drive or --path; give one of them"
+        )
+    from rainsim.datasets.rig_shots import check_rig
+    from rainsim.sensors.rig import read_rig
+
+    rig = read_rig(given["rig"], config.fps)
+    check_rig(rig, layout)
+    return rig
 
 
 def rains_of(text):
@@ -234,7 +260,7 @@ def _number_of(views, scene):
     return int(views) or None if is_number else None
 
 
-def _plan(status, scene, cameras, lens, rates, config, layout, given):
+def _plan(status, scene, cameras, lens, rates, config, layout, given, rig=None):
     from rainsim.datasets.export import safe_names
     from rainsim.datasets.points import points_of
     from rainsim.datasets.sample import Plan, View
@@ -249,12 +275,17 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given):
     cameras = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     if given["drive"]:
         cameras = _driven(status, scene, cameras, config.fps, given)
-    named = zip(safe_names(cameras), cameras, strict=True)
-    views = [View(k, name, camera, lens) for k, (name, camera) in enumerate(named)]
-    every = given["hold_out"]
+    every, turns = given["hold_out"], ()
     if every is None:
-        every = usual_hold_out(len(views))
-    check_hold_out(every, len(views), layout)
+        every = usual_hold_out(len(cameras))
+    check_hold_out(every, len(cameras), layout)
+    if rig is not None:
+        from rainsim.datasets.rig_shots import rig_views
+
+        views, turns = rig_views(rig, cameras, config.fps)
+    else:
+        named = zip(safe_names(cameras), cameras, strict=True)
+        views = [View(k, name, camera, lens) for k, (name, camera) in enumerate(named)]
     views = held_out(views, every)
     status.notes([split_note(views, layout)])
     partners = ("clear_air", "dry") if given["partners"] else ()
@@ -262,7 +293,7 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given):
         partners += ("no_glass",)
     return Plan(
         options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names(),
-        partners, 1 / config.fps if sequence else 0.0,
+        partners, 1 / config.fps if sequence else 0.0, rig, turns,
     )  # fmt: skip
 
 
@@ -303,7 +334,7 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         "names": [[view.name, view.held_out] for view in plan.views],
         "lens": str(plan.views[0].lens), "rolling": given["rolling"],
         "glass": given["glass"], "wiper": given["wiper"], "partners": given["partners"],
-        "lidar": given["lidar"],
+        "lidar": given["lidar"], "rig": None if plan.rig is None else plan.rig.facts(),
         "labels": None if user_labels is None else hash_of_array(user_labels.ids),
     }  # fmt: skip
     sources = [scene.source, labels, *paths_in(given)]
@@ -320,10 +351,15 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
 
         terrain = extract_terrain(scene, config, None, status.progress, status.notes)
         lidar = (given["lidar"] or "hdl64") if layout in SCANNED else None
-        shots = Shots(
-            scene, terrain, plan.views, config, plan.sequence, backend, user_labels,
-            readout_of(given), pane, given["partners"], lidar,
-        )  # fmt: skip
+        if plan.rig is not None:
+            from rainsim.datasets.rig_shots import RigShots
+
+            shots = RigShots(scene, terrain, plan, config, backend, user_labels, given["partners"])
+        else:
+            shots = Shots(
+                scene, terrain, plan.views, config, plan.sequence, backend, user_labels,
+                readout_of(given), pane, given["partners"], lidar,
+            )  # fmt: skip
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))
         write_all(shots, folder, shots.config_of, status.progress)

@@ -4,4 +4,6 @@ LAYOUTS = (  # modules of this room
     "nerfstudio", "colmap", "kitti", "kitti_object", "semantic_kitti", "acdc", "cityscapes",
     "replicator",
 )  # fmt: skip
+RIGGED = "nerfstudio", "colmap", "kitti", "kitti_object", "semantic_kitti"  # hold rigs
+ONE_LENS = "nerfstudio"  # has one camera model for all views
 SCANNED = "kitti_object", "semantic_kitti"  # layouts that have clouds of a lidar

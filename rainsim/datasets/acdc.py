@@ -11,8 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.datasets.data_files import PNG, PNG16, DataFile
-from rainsim.datasets.kinds import GROUND, IGNORED, ROAD, TRAIN_IDS
+from rainsim.datasets.kinds import GROUND, IGNORED, ROAD, TRAIN_IDS, class_of, kind_of
 from rainsim.datasets.sample import depth_mm
+from rainsim.render.labels import OTHER_CLASS
 from rainsim.terrain.table import WATER
 
 
@@ -50,15 +51,23 @@ def sequence(name, rate):
 
 
 def train_ids(sample):
-    """Return the ids to train with, (height, width), uint8: the user's labels, or ground's.
+    """Return the ids to train with, (height, width), uint8: the user's, or ground's; actors'.
 
     A puddle counts as the road that it stands on; water else is ignored, as Cityscapes knows none.
     """
     if sample.labels is not None:
-        return np.minimum(sample.labels, IGNORED).astype(np.uint8)
+        ids = np.minimum(class_of(sample.labels), IGNORED).astype(np.uint8)
+        return _with_actors(ids, sample, sample.labels == OTHER_CLASS)
     table = np.full(256, IGNORED, np.uint8)
     for code, number in GROUND.items():
         table[code] = TRAIN_IDS[number]
     ids = table[np.minimum(sample.class_id, IGNORED)]
     ids[(sample.class_id == WATER) & (sample.puddle_id > 0)] = TRAIN_IDS[ROAD]
+    return _with_actors(ids, sample, True)
+
+
+def _with_actors(ids, sample, where):
+    for actor in sample.facts.get("actors", ()):
+        number = TRAIN_IDS.get(kind_of(actor["class"]).cityscapes, IGNORED)
+        ids[(sample.actor_id == actor["number"]) & where] = number
     return ids

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.datasets.data_files import FOLDER, JSON, PNG, PNG16, PNG48, DataFile, condition
+from rainsim.datasets.data_files import (
+    BYTES,
+    FOLDER,
+    JSON,
+    PNG,
+    PNG16,
+    PNG48,
+    DataFile,
+    condition,
+)
 from rainsim.datasets.sample import depth_mm, flow_known, kitti_flow
 
 
@@ -31,12 +40,41 @@ def sample_files(sample, plan):
         yield DataFile(f"{folder}/flow_mask/{name}.png", PNG, mask)
     for kind, picture in sample.partners.items():
         yield DataFile(f"{folder}/{kind}/{name}.png", PNG, picture)
+    taken = {}
+    if sample.view.mount is not None:
+        taken = {"sensor": sample.view.mount.name, "time_s": sample.view.time}
     about = {
         "view": name, "index": sample.view.index, "rain_mm_per_hour": sample.rate,
-        "held_out": sample.view.held_out, "classes": plan.names, **camera_facts(sample.view),
+        "held_out": sample.view.held_out, **taken, "classes": plan.names,
+        **camera_facts(sample.view),
         "partners": {kind: f"{kind}/{name}.png" for kind in sample.partners}, **sample.facts,
     }  # fmt: skip
     yield DataFile(f"{folder}/{name}.json", JSON, about)
+
+
+def cloud_files(sample, plan):
+    """Yield the `DataFile`s of a turn of a rig's lidar, in a folder of the lidar's name."""
+    turn = sample.view
+    folder = f"{condition(sample.rate)}/{FOLDER}"
+    place = f"{folder}/{turn.mount.name}/{turn.frame:06d}"
+    for kind, values in zip(("bin", "label"), sample.cloud, strict=True):
+        yield DataFile(f"{place}.{kind}", BYTES, values.tobytes())
+    yield turn_facts(sample)
+
+
+def turn_facts(sample):
+    """Return the `DataFile` that says when and where a turn was."""
+    turn = sample.view
+    about = {"sensor": turn.mount.name, "frame": turn.frame, "time_s": turn.time,
+             "rain_mm_per_hour": sample.rate,
+             "ground_from_sensor": turn.ground_from_sensor.tolist()}  # fmt: skip
+    return DataFile(f"{condition(sample.rate)}/{FOLDER}/{turn.name}.json", JSON, about)
+
+
+def plan_files(plan):
+    """Yield the `DataFile`s of the whole data set: rig.json, of a rig its calibration."""
+    if plan.rig is not None:
+        yield DataFile("rig.json", JSON, plan.rig.facts())
 
 
 def camera_facts(view):

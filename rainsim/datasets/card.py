@@ -30,6 +30,7 @@ def card_of(plan, layout, scene, config_of):
         "views": [view.name for view in plan.views],
         "held_out": [view.name for view in plan.views if view.held_out],
         "sequence": plan.sequence,
+        **({} if plan.rig is None else {"rig": plan.rig.facts(), "turns": len(plan.turns)}),
         "lens": None if lens is None else {"model": lens.model, "values": list(lens.values)},
         "classes": class_names(),
         "partners": {name: PARTNERS[name] for name in plan.partners},

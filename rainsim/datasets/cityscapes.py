@@ -16,15 +16,17 @@ from rainsim.datasets.kinds import (
     GROUND,
     IGNORED,
     LAST_ID,
+    PER_CLASS,
     ROAD,
     TRAIN_IDS,
     UNLABELED,
+    class_of,
     kind_of,
 )
 from rainsim.datasets.sample import depth_mm
+from rainsim.render.labels import OTHER_CLASS
 from rainsim.terrain.table import WATER
 
-PER_CLASS = 1000  # instances that a class has room for
 COLORS = np.frombuffer(bytes.fromhex(
     # Red, green and blue of Cityscapes' ids from 0 on.
     "000000 000000 000000 000000 000000 6f4a00 510051 804080 f423e8 faaaa0 e6968c 464646"
@@ -67,23 +69,35 @@ def label_ids(sample):
     A puddle counts as the road that it stands on.
     """
     if sample.labels is not None:
-        return np.where(sample.labels <= LAST_ID, sample.labels, UNLABELED).astype(np.uint8)
+        own = class_of(sample.labels)
+        ids = np.where(own <= LAST_ID, own, UNLABELED).astype(np.uint8)
+        return with_actors(ids, sample, sample.labels == OTHER_CLASS)
     table = np.full(256, UNLABELED, np.uint8)
     table[list(GROUND)] = list(GROUND.values())
     ids = table[np.minimum(sample.class_id, 255)]
     ids[(sample.class_id == WATER) & (sample.puddle_id > 0)] = ROAD
+    return with_actors(ids, sample, True)
+
+
+def with_actors(ids, sample, where):
+    """Return Cityscapes' ids with those of the actors that a sample shows, within a mask."""
     for actor in sample.facts.get("actors", ()):
-        ids[sample.actor_id == actor["number"]] = kind_of(actor["class"]).cityscapes
+        ids[(sample.actor_id == actor["number"]) & where] = kind_of(actor["class"]).cityscapes
     return ids
 
 
 def instance_ids(sample, ids):
     """Return Cityscapes' ids of instances, (height, width), uint16: an actor is an instance.
 
-    What has no actor, such as things that the user labels, counts as a group: its id alone.
+    So is what the user labels with class x 1000 + number. What has neither counts as a group: its
+    id alone.
     """
+    found = ids.astype(np.uint16)
+    if sample.labels is not None:
+        numbered = (sample.labels >= FIRST_WITH_INSTANCES * PER_CLASS) & (ids > 0)
+        found[numbered] = sample.labels[numbered]
     if sample.actor_id is None:
-        return ids.astype(np.uint16)
+        return found
     own = (sample.actor_id > 0) & (ids >= FIRST_WITH_INSTANCES)
     number = (sample.actor_id.astype(np.int64) - 1) % PER_CLASS
-    return np.where(own, ids.astype(np.int64) * PER_CLASS + number, ids).astype(np.uint16)
+    return np.where(own, ids.astype(np.int64) * PER_CLASS + number, found).astype(np.uint16)

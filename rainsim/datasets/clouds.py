@@ -10,12 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.datasets.kinds import OUTLIER, SEMANTIC_GROUND, kind_of
-from rainsim.datasets.kitti import CAMERA_FROM_LIDAR
+from rainsim.datasets.kinds import (
+    OUTLIER,
+    PER_CLASS,
+    SEMANTIC_GROUND,
+    class_of,
+    kind_of,
+)
 from rainsim.lod.held_parts import scene_in_reach
-from rainsim.render.labels import GROUND_REACH
+from rainsim.render.labels import GROUND_REACH, OTHER_CLASS
 from rainsim.sensors.lidar import LidarScanner, Pose
 from rainsim.sensors.lidar_model import KEPT, LOST, SENSORS
+from rainsim.sensors.rig import CAMERA_FROM_LIDAR
 from rainsim.shading.calibration import albedo_of_white
 
 AT_ONCE = 1e6  # turns/s: all pulses within a microsecond
@@ -30,16 +36,19 @@ class Clouds:
     ----------
     scene : Scene
     terrain : Terrain
-    views : sequence of View
+    places : sequence of ndarray of shape (3,) [m]
+        Where the lidar will be, in the ground frame.
     sensor : str
         A key of `lidar_model.SENSORS`.
     config : Config
+    user_labels : UserLabels, optional
+        Points on what stands have its ids, where it has any.
     """
 
-    def __init__(self, scene, terrain, views, sensor, config):
+    def __init__(self, scene, terrain, places, sensor, config, user_labels=None):
+        self.user_labels = user_labels
         self.terrain, self.lidar = terrain, replace(SENSORS[sensor], rate=AT_ONCE)
         albedo, _ = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)
-        places = [view.camera.position for view in views]
         near = scene_in_reach(scene, places, self.lidar.far, self.lidar.divergence)
         self._scanner, self._seed = LidarScanner(near, terrain, albedo), config.rain.seed
 
@@ -65,14 +74,24 @@ class Clouds:
         """
         camera = view.camera
         turn = camera.camera_from_world[:3, :3].T @ CAMERA_FROM_LIDAR
-        pose = Pose(camera.position, turn, np.zeros(3))
+        return self.seen_from(camera.position, turn, view.index, field, state, damp, actors)
+
+    def seen_from(self, position, turn, number, field, state, damp, actors):
+        """Return what `cloud` does, for a lidar at a position [m] with its axes' `turn` (3, 3).
+
+        `number` makes the noise of its ranges.
+        """
+        pose = Pose(position, turn, np.zeros(3))
         rate = 0 if field is None else field.spectrum.rate
-        rng = np.random.default_rng([self._seed, view.index, round(rate * 3.6e12)])
+        rng = np.random.default_rng([self._seed, number, round(rate * 3.6e12)])
         scan = self._scanner.scan(self.lidar, pose, state.time, rng, field, state, damp)
         back = scan.label != LOST
         points = np.column_stack([scan.point, scan.reflectivity])[back].astype("<f4")
         place = pose.position + scan.point[back].astype(np.float64) @ turn.T
         labels = self._ground_class(place)
+        if self.user_labels is not None:
+            own = self.user_labels.of_points(place)
+            labels = np.where(own != OTHER_CLASS, semantic_label(own), labels)
         labels[scan.label[back] != KEPT] = OUTLIER
         if scan.actor is not None:
             number = scan.actor[back].astype("<u4")
@@ -81,7 +100,7 @@ class Clouds:
                 moves = np.linalg.norm(actor["box3d"]["velocity"]) > MOVES
                 shown = (number == actor["number"]) & (scan.label[back] == KEPT)
                 labels[shown] = kind.moving if moves else kind.semantic
-            labels += NODE * number
+            labels[number > 0] += NODE * number[number > 0]
         return points, labels
 
     def _ground_class(self, place):
@@ -92,3 +111,9 @@ class Clouds:
         table = np.zeros(256, "<u4")
         table[list(SEMANTIC_GROUND)] = list(SEMANTIC_GROUND.values())
         return np.where(near, table[terrain.ground_class[row, column]], 0).astype("<u4")
+
+
+def semantic_label(own):
+    """Return SemanticKITTI's labels of the user's ids: class below, instance above, uint32."""
+    own = own.astype("<u4")
+    return np.where(own < PER_CLASS, own, class_of(own) + NODE * (own % PER_CLASS)).astype("<u4")

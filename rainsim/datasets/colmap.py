@@ -3,7 +3,8 @@
 After COLMAP's format pages (https://colmap.github.io/format.html): cameras.bin, images.bin,
 points3D.bin; a mask is named as its image with .png appended, black is left out; depth maps are
 float32 after the text width&height&channels&. World is the ground frame in metres. Tracks say which
-points which images see, by the depth of their pixels.
+points which images see, by the depth of their pixels. Rigs have rigs.bin and frames.bin, as COLMAP
+reads them from 3.12 on (reconstruction_io_binary.cc, commit 036535c).
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rainsim.datasets.data_files import BYTES, PNG, DataFile, condition
+from rainsim.datasets.kitti import camera_from_first, first_from_ground
 from rainsim.scene.colmap import MODELS
 from rainsim.scene.view import camera_points, image_point
 
 NEAREST = 0.05  # m before the camera
 WIDEST = 5.0  # slope off the axis up to which points are looked for
+CAMERA = 0  # kind of a rig's sensor, by SensorType of COLMAP's sensor/models.h
 SAME_DEPTH = 0.02  # of a point's depth, by which its pixel's may differ
 
 
@@ -42,6 +45,8 @@ def plan_files(plan, folder):
         "cameras.bin": cameras_bytes(plan.views), "images.bin": images_bytes(plan.views, seen),
         "points3D.bin": points_bytes(plan.points, plan.colors, plan.views, seen),
     }  # fmt: skip
+    if plan.rig is not None:
+        model |= {"rigs.bin": rigs_bytes(plan.rig, plan.views), "frames.bin": frames_bytes(plan)}
     for rate in plan.rates:
         for name, content in model.items():
             yield DataFile(f"{condition(rate)}/sparse/0/{name}", BYTES, content)
@@ -100,14 +105,54 @@ def model_of(view):
 
 
 def cameras_bytes(views):
-    """Return cameras.bin: one camera for each view, numbered from 1."""
-    parts = [struct.pack("<Q", len(views))]
-    for view in views:
+    """Return cameras.bin: one camera for each view, or each of a rig, numbered from 1."""
+    kinds = {camera_id(view, views): view for view in reversed(views)}
+    parts = [struct.pack("<Q", len(kinds))]
+    for number, view in sorted(kinds.items()):
         name, values = model_of(view)
         size = view.camera.width, view.camera.height
-        parts.append(struct.pack("<iiQQ", view.index + 1, MODELS[name][0], *size))
+        parts.append(struct.pack("<iiQQ", number, MODELS[name][0], *size))
         parts.append(struct.pack(f"<{len(values)}d", *values))
     return b"".join(parts)
+
+
+def camera_id(view, views):
+    """Return the number of a view's camera: that of its first picture."""
+    if view.mount is None:
+        return view.index + 1
+    return next(other.index for other in views if other.mount is view.mount) + 1
+
+
+def rigs_bytes(rig, views):
+    """Return rigs.bin: one rig, of which the first camera is the reference of all others.
+
+    Numbers: rig, sensors; of each sensor its kind (0, a camera) and camera; of all but the first
+    that a pose follows, and sensor_from_rig.
+    """
+    ids = [next(camera_id(v, views) for v in views if v.mount is s) for s in rig.cameras]
+    parts = [struct.pack("<QIIiI", 1, 1, len(ids), CAMERA, ids[0])]
+    for sensor, number in zip(rig.cameras[1:], ids[1:], strict=True):
+        pose = _pose_bytes(camera_from_first(sensor, rig))
+        parts.append(struct.pack("<iIB", CAMERA, number, 1) + pose)
+    return b"".join(parts)
+
+
+def frames_bytes(plan):
+    """Return frames.bin: the pictures that the rig takes at one time are one frame."""
+    frames = {}
+    for view in plan.views:
+        frames.setdefault(view.time, []).append(view)
+    parts = [struct.pack("<Q", len(frames))]
+    for number, (_, views) in enumerate(sorted(frames.items()), start=1):
+        parts.append(struct.pack("<II", number, 1) + _pose_bytes(first_from_ground(views[0], plan)))
+        parts.append(struct.pack("<I", len(views)))
+        parts += [struct.pack("<iIQ", CAMERA, camera_id(v, plan.views), v.index + 1) for v in views]
+    return b"".join(parts)
+
+
+def _pose_bytes(matrix):
+    x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
+    return struct.pack("<7d", w, x, y, z, *matrix[:3, 3])
 
 
 def images_bytes(views, seen):
@@ -117,10 +162,11 @@ def images_bytes(views, seen):
     """
     parts = [struct.pack("<Q", len(views))]
     for view, (number, place) in zip(views, seen, strict=True):
-        matrix = view.camera.camera_from_world
-        x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
-        parts.append(struct.pack("<i7d", view.index + 1, w, x, y, z, *matrix[:3, 3]))
-        parts.append(struct.pack("<i", view.index + 1) + f"{view.name}.png".encode() + b"\0")
+        pose = _pose_bytes(view.camera.camera_from_world)
+        parts.append(struct.pack("<i", view.index + 1) + pose)
+        parts.append(
+            struct.pack("<i", camera_id(view, views)) + f"{view.name}.png".encode() + b"\0"
+        )
         rows = np.zeros(len(number), [("place", "<f8", 2), ("point", "<u8")])
         rows["place"], rows["point"] = place, number + 1
         parts.append(struct.pack("<Q", len(rows)) + rows.tobytes())

@@ -14,6 +14,7 @@ from functools import partial
 from rainsim.datasets import LAYOUTS, beside
 from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.data_files import TEXT, DataFile, write_file
+from rainsim.datasets.sample import Cloud
 from rainsim.errors import ParameterError
 from rainsim.io.files import card_in, write_json
 from rainsim.io.fingerprint import fingerprint
@@ -65,15 +66,15 @@ class DataSetFolder:
     @property
     def count(self):
         """Number of parts: pictures of each rain."""
-        return len(self.plan.rates) * len(self.plan.views)
+        return len(self.plan.rates) * len(self.plan.parts)
 
     def part(self, rate, view):
         """Return the number of the part of a rain's view."""
-        return self.plan.rates.index(rate) * len(self.plan.views) + view
+        return self.plan.rates.index(rate) * len(self.plan.parts) + view
 
     def missing(self, rate):
         """Return the views of a rain that are to be drawn."""
-        return [v for v in range(len(self.plan.views)) if self.part(rate, v) not in self.kept]
+        return [v for v in range(len(self.plan.parts)) if self.part(rate, v) not in self.kept]
 
     def _check(self, before):
         """Raise ParameterError unless the folder holds an unfinished export of the same content."""
@@ -128,8 +129,11 @@ class DataSetFolder:
 
     def write(self, sample):
         """Write a sample's files, in any thread, and return their names."""
-        files = [*self.layout.sample_files(sample, self.plan),
-                 *beside.sample_files(sample, self.plan)]  # fmt: skip
+        if isinstance(sample, Cloud):
+            files = getattr(self.layout, "cloud_files", beside.cloud_files)(sample, self.plan)
+        else:
+            files = [*self.layout.sample_files(sample, self.plan),
+                     *beside.sample_files(sample, self.plan)]  # fmt: skip
         # PNGs are packed outside the interpreter's lock, each on a core of its own.
         with ThreadPoolExecutor() as pool:
             return list(pool.map(partial(write_file, self.folder), files))
@@ -142,7 +146,7 @@ class DataSetFolder:
 
     def finish(self):
         """Write what belongs to the whole data set, and the card as complete."""
-        files = self.layout.plan_files(self.plan, self.folder)
+        files = [*self.layout.plan_files(self.plan, self.folder), *beside.plan_files(self.plan)]
         names = [write_file(self.folder, file) for file in files]
         names.append(write_file(self.folder, DataFile(CARD_TEXT, TEXT, card_text(self._card))))
         self._write_card(complete=len(self.kept) == self.count, files=sorted(names))

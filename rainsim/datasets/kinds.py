@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from rainsim.terrain.table import DRAIN, GRASS, HARD, SOIL
 
 
@@ -45,7 +47,13 @@ UNLABELED, ROAD, TERRAIN = 0, 7, 22
 LAST_ID, FIRST_WITH_INSTANCES = 33, 24
 GROUND = {HARD: ROAD, DRAIN: ROAD, GRASS: TERRAIN, SOIL: TERRAIN}  # ids of Cityscapes
 SEMANTIC_GROUND = {HARD: 40, DRAIN: 40, GRASS: 72, SOIL: 72}
+PER_CLASS = 1000  # instances that a class has room for, as Cityscapes numbers them
 OUTLIER = 1  # of SemanticKITTI: what is no echo of the place that it seems to come from
+
+
+def class_of(own):
+    """Return the classes of the user's ids, an array: id x 1000 + number is one of a class."""
+    return np.where(own < PER_CLASS, own, own // PER_CLASS)
 
 
 def kind_of(name):

@@ -16,30 +16,34 @@ from rainsim.datasets.data_files import PNG, PNG16, PNG48, TEXT, DataFile, condi
 from rainsim.datasets.kinds import kind_of
 from rainsim.datasets.sample import flow_known, kitti_depth, kitti_flow
 from rainsim.scene.view import camera_points, image_point
+from rainsim.sensors.rig import CAMERA_FROM_LIDAR
 
 LEAST_DEPTH = 0.05  # m: a box with a nearer corner is beside the camera
 CORNERS = 0.5 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 OCCLUDED = (0.1, 0.5)  # shares of an actor's pixels from which it is partly and largely occluded
+COLOR, CAMERAS = 2, 4  # KITTI's left colour camera, and how many it has
+AXES = np.column_stack([CAMERA_FROM_LIDAR, np.zeros(3)])
 SAME = " ".join(f"{v:.12e}" for v in np.eye(3).ravel())
 SAME_PLACE = " ".join(f"{v:.12e}" for v in np.eye(3, 4).ravel())
 
 
 def sample_files(sample, plan):
     """Yield the `DataFile`s of a sample."""
-    training, number = f"{condition(sample.rate)}/training", f"{sample.view.index:06d}"
-    yield DataFile(f"{training}/image_2/{number}_10.png", PNG, sample.picture)
-    depth = kitti_depth(sample.depth)
-    yield DataFile(f"{training}/proj_depth/groundtruth/image_02/{number}_10.png", PNG16, depth)
-    yield DataFile(f"{training}/calib/{number}.txt", TEXT, calibration(sample.view.camera))
+    view, channel = sample.view, channel_of(sample.view, plan)
+    training, number = f"{condition(sample.rate)}/training", f"{view.number:06d}"
+    yield DataFile(f"{training}/image_{channel}/{number}_10.png", PNG, sample.picture)
+    depth, place = kitti_depth(sample.depth), f"{training}/proj_depth/groundtruth"
+    yield DataFile(f"{place}/image_{channel:02d}/{number}_10.png", PNG16, depth)
+    if is_first(view, plan):
+        yield DataFile(f"{training}/calib/{number}.txt", TEXT, calibration(view.camera, plan.rig))
     if sample.actor_id is not None:
-        boxes = object_labels(sample.facts.get("actors", ()), sample.view.camera)
-        yield DataFile(f"{training}/label_2/{number}.txt", TEXT, boxes)
+        yield box_file(sample, plan)
     if sample.flow is None:
         return
-    if sample.view.index > 0:
-        before = f"{sample.view.index - 1:06d}_11.png"
-        yield DataFile(f"{training}/image_2/{before}", PNG, sample.picture)
-    if sample.view.index < len(plan.views) - 1:
+    if view.number > 0:
+        before = f"{view.number - 1:06d}_11.png"
+        yield DataFile(f"{training}/image_{channel}/{before}", PNG, sample.picture)
+    if channel == COLOR and not plan.is_last(view):
         for name, hidden_too in (("flow_occ", True), ("flow_noc", False)):
             flow = kitti_flow(sample.flow, flow_known(sample, hidden_too))
             yield DataFile(f"{training}/{name}/{number}_10.png", PNG48, flow)
@@ -51,7 +55,40 @@ def plan_files(plan, folder):
         yield DataFile(f"{condition(rate)}/training/poses.txt", TEXT, poses(plan.views))
 
 
-def object_labels(actors, camera):
+def channel_of(view, plan):
+    """Return the number of a view's camera: those of a rig are 2, 3, 0 and 1 in their order."""
+    place = 0 if plan.rig is None else plan.rig.cameras.index(view.mount)
+    return (COLOR + place) % CAMERAS
+
+
+def is_first(view, plan):
+    """Whether a view's camera is the one that places are given by: without a rig the only one."""
+    return plan.rig is None or view.mount is plan.rig.cameras[0]
+
+
+def camera_from_first(sensor, rig):
+    """Return the matrix (4, 4) [m] that takes places of the rig's first camera to a sensor's."""
+    return np.linalg.inv(sensor.vehicle_from_sensor) @ rig.cameras[0].vehicle_from_sensor
+
+
+def first_from_ground(view, plan):
+    """Return the matrix (4, 4) [m] of the first camera at the time of a view."""
+    matrix = view.camera.camera_from_world
+    if is_first(view, plan):
+        return matrix
+    return np.linalg.inv(camera_from_first(view.mount, plan.rig)) @ matrix
+
+
+def box_file(sample, plan):
+    """Return the `DataFile` of the boxes that a picture shows, see `object_labels`."""
+    view = sample.view
+    name = f"label_{channel_of(view, plan)}/{view.number:06d}.txt"
+    actors = sample.facts.get("actors", ())
+    boxes = object_labels(actors, view.camera, first_from_ground(view, plan))
+    return DataFile(f"{condition(sample.rate)}/training/{name}", TEXT, boxes)
+
+
+def object_labels(actors, camera, matrix=None):
     """Return a label_2 file: a line for each actor that the picture shows.
 
     After the object development kit: type, truncated, occluded, alpha, box in the picture, height,
@@ -65,19 +102,21 @@ def object_labels(actors, camera):
         other things hide, may be missing.
     camera : Camera
         In the ground frame.
+    matrix : ndarray of shape (4, 4), float64 [m], optional
+        From the ground frame to the camera that places are given by, by default this one.
     """
     return "".join(
         f"{kind_of(actor['class']).kitti} {cut:.2f} {hidden} {box}\n"
-        for actor, cut, hidden, box in object_boxes(actors, camera)
+        for actor, cut, hidden, box in object_boxes(actors, camera, matrix)
     )
 
 
-def object_boxes(actors, camera):
+def object_boxes(actors, camera, matrix=None):
     """Yield each actor that a picture shows, its truncation, its occlusion and its box as text.
 
     The text has alpha, the box in the picture, size, place and rotation, see `object_labels`.
     """
-    matrix = camera.camera_from_world
+    matrix = camera.camera_from_world if matrix is None else matrix
     for actor in actors:
         if not actor["pixels"]:
             continue
@@ -124,25 +163,38 @@ def truncation(corners, shown, camera):
     return float(np.clip(1 - part / max(whole, 1e-9), 0, 1))
 
 
-def calibration(camera):
-    """Return a calib file: the same pinhole as P0 to P3, no rectification."""
-    matrix = np.zeros((3, 4))
-    matrix[0, 0], matrix[1, 1], matrix[2, 2] = camera.fx, camera.fy, 1
+def calibration(camera, rig=None):
+    """Return a calib file: P0 to P3, no rectification, and the first lidar's place.
+
+    Without a rig all four are this camera; in a rig those that it lacks are its first, from whose
+    frame each projects.
+    """
+    projections, lidar = [_pinhole(camera)] * CAMERAS, AXES
+    if rig is not None:
+        own = [_pinhole(s.camera) @ camera_from_first(s, rig) for s in rig.cameras]
+        own += [own[0]] * (CAMERAS - len(own))
+        projections = own[COLOR:] + own[:COLOR]
+        if rig.lidars:
+            lidar = np.linalg.inv(camera_from_first(rig.lidars[0], rig))[:3]
+    lines = [f"P{k}: {_numbers(matrix)}" for k, matrix in enumerate(projections)]
+    lines += [f"R0_rect: {SAME}", f"Tr_velo_to_cam: {_numbers(lidar)}"]
+    return "\n".join([*lines, f"Tr_imu_to_velo: {SAME_PLACE}"]) + "\n"
+
+
+def _pinhole(camera):
+    """Return a camera's projection (3, 4) [px] of its own frame."""
     # KITTI's image points have the middle of the first pixel at 0, 0.
-    matrix[0, 2], matrix[1, 2] = camera.cx - 0.5, camera.cy - 0.5
-    numbers = " ".join(f"{v:.12e}" for v in matrix.ravel())
-    lines = [f"P{k}: {numbers}" for k in range(4)]
-    lines += [f"R0_rect: {SAME}", f"Tr_velo_to_cam: {VELODYNE}", f"Tr_imu_to_velo: {SAME_PLACE}"]
-    return "\n".join(lines) + "\n"
+    rows = (camera.fx, 0, camera.cx - 0.5, 0), (0, camera.fy, camera.cy - 0.5, 0), (0, 0, 1, 0)
+    return np.array(rows, float)
 
 
-# The camera's axes x right, y down, z ahead from those of KITTI's lidar: x ahead, y left, z up.
-CAMERA_FROM_LIDAR = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]], float)
-VELODYNE = " ".join(f"{v:.12e}" for v in np.column_stack([CAMERA_FROM_LIDAR, np.zeros(3)]).ravel())
+def _numbers(matrix):
+    return " ".join(f"{v:.12e}" for v in np.ravel(matrix) + 0.0)
 
 
 def poses(views):
     """Return the poses of the odometry benchmark: the first is the identity."""
+    views = [view for view in views if view.mount is views[0].mount]
     first = views[0].camera.camera_from_world
     lines = [
         " ".join(

@@ -9,9 +9,17 @@ MMDetection3D read it.
 
 from __future__ import annotations
 
+from rainsim.datasets import beside
 from rainsim.datasets.data_files import BYTES, FOLDER, PNG, TEXT, DataFile, condition
 from rainsim.datasets.kinds import kind_of
-from rainsim.datasets.kitti import calibration, object_boxes, object_labels
+from rainsim.datasets.kitti import (
+    box_file,
+    calibration,
+    channel_of,
+    first_from_ground,
+    is_first,
+    object_boxes,
+)
 from rainsim.io.files import read_json
 
 TRUNCATED = (0.01, 0.5)  # shares from which tracking has a box as partly and largely truncated
@@ -19,15 +27,31 @@ TRUNCATED = (0.01, 0.5)  # shares from which tracking has a box as partly and la
 
 def sample_files(sample, plan):
     """Yield the `DataFile`s of a sample."""
-    training, number = f"{condition(sample.rate)}/training", f"{sample.view.index:06d}"
-    yield DataFile(f"{training}/image_2/{number}.png", PNG, sample.picture)
-    yield DataFile(f"{training}/calib/{number}.txt", TEXT, calibration(sample.view.camera))
-    boxes = object_labels(sample.facts.get("actors", ()), sample.view.camera)
-    yield DataFile(f"{training}/label_2/{number}.txt", TEXT, boxes)
+    view, training = sample.view, f"{condition(sample.rate)}/training"
+    number = f"{view.number:06d}"
+    yield DataFile(f"{training}/image_{channel_of(view, plan)}/{number}.png", PNG, sample.picture)
+    if is_first(view, plan):
+        yield DataFile(f"{training}/calib/{number}.txt", TEXT, calibration(view.camera, plan.rig))
+    yield box_file(sample, plan)
     if sample.cloud is not None:
-        points, labels = sample.cloud
-        yield DataFile(f"{training}/velodyne/{number}.bin", BYTES, points.tobytes())
-        yield DataFile(f"{training}/labels/{number}.label", BYTES, labels.tobytes())
+        yield from point_files(training, number, sample.cloud)
+
+
+def point_files(place, number, cloud):
+    """Yield the `DataFile`s of a cloud: its points and their labels."""
+    points, labels = cloud
+    yield DataFile(f"{place}/velodyne/{number}.bin", BYTES, points.tobytes())
+    yield DataFile(f"{place}/labels/{number}.label", BYTES, labels.tobytes())
+
+
+def cloud_files(sample, plan, place="training"):
+    """Yield the `DataFile`s of a turn of a rig's lidar: the first is KITTI's."""
+    if sample.view.mount is not plan.rig.lidars[0]:
+        yield from beside.cloud_files(sample, plan)
+        return
+    yield from point_files(f"{condition(sample.rate)}/{place}", f"{sample.view.frame:06d}",
+                           sample.cloud)  # fmt: skip
+    yield beside.turn_facts(sample)
 
 
 def plan_files(plan, folder):
@@ -35,21 +59,28 @@ def plan_files(plan, folder):
     for rate in plan.rates:
         place = condition(rate)
         for name, held in (("train", False), ("val", True)):
-            lines = [f"{v.index:06d}\n" for v in plan.views if v.held_out == held]
+            lines = [f"{v.number:06d}\n" for v in plan.views
+                     if v.held_out == held and is_first(v, plan)]  # fmt: skip
             yield DataFile(f"{place}/ImageSets/{name}.txt", TEXT, "".join(lines))
         if plan.sequence and folder is not None:
-            facts = [read_json(folder / place / FOLDER / f"{view.name}.json", "facts")
-                     for view in plan.views]  # fmt: skip
-            text = tracking_labels(plan.views, facts)
-            yield DataFile(f"{place}/training/label_02/0000.txt", TEXT, text)
+            by_channel = {}
+            for view in plan.views:
+                by_channel.setdefault(channel_of(view, plan), []).append(view)
+            for channel, views in by_channel.items():
+                facts = [read_json(folder / place / FOLDER / f"{view.name}.json", "facts")
+                         for view in views]  # fmt: skip
+                text = tracking_labels(views, facts, plan)
+                yield DataFile(f"{place}/training/label_{channel:02d}/0000.txt", TEXT, text)
 
 
-def tracking_labels(views, facts):
+def tracking_labels(views, facts, plan):
     """Return a label_02 file: frame, track, type, truncation and occlusion as levels, and box."""
     lines = []
     for view, known in zip(views, facts, strict=True):
-        for actor, cut, hidden, box in object_boxes(known.get("actors", ()), view.camera):
+        for actor, cut, hidden, box in object_boxes(
+            known.get("actors", ()), view.camera, first_from_ground(view, plan)
+        ):  # fmt: skip
             level = sum(cut >= share for share in TRUNCATED)
             kind = kind_of(actor["class"]).kitti
-            lines.append(f"{view.index} {actor['number'] - 1} {kind} {level} {hidden} {box}\n")
+            lines.append(f"{view.number} {actor['number'] - 1} {kind} {level} {hidden} {box}\n")
     return "".join(lines)

@@ -47,7 +47,8 @@ def transforms(plan, partner=None):
     lens = plan.views[0].lens
     fisheye = lens is not None and lens.model == "fisheye"
     keys = FISHEYE_KEYS if fisheye else OPENCV_KEYS
-    bent = {} if lens is None else dict(zip(keys, lens.values, strict=False))
+    bent = [{} if v.lens is None else dict(zip(keys, v.lens.values, strict=False))
+            for v in plan.views]  # fmt: skip
     train, val, test = ([f"{pictures}/{view.name}.png" for view in part]
                         for part in lists_of(plan.views))  # fmt: skip
     frames = [{
@@ -56,9 +57,9 @@ def transforms(plan, partner=None):
         **({} if partner == "dry" else {"mask_path": f"masks/{view.name}.png"}),
         "w": view.camera.width, "h": view.camera.height,
         "fl_x": view.camera.fx, "fl_y": view.camera.fy,
-        "cx": view.camera.cx, "cy": view.camera.cy, **bent,
+        "cx": view.camera.cx, "cy": view.camera.cy, **own,
         "transform_matrix": opengl_pose(view.camera).tolist(),
-    } for view in plan.views]  # fmt: skip
+    } for view, own in zip(plan.views, bent, strict=True)]  # fmt: skip
     return {
         "camera_model": "OPENCV_FISHEYE" if fisheye else "OPENCV",
         "orientation_override": "none",  # z is up already

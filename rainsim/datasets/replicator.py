@@ -3,15 +3,20 @@
 After the pages of Replicator's output (https://docs.omniverse.nvidia.com/extensions/latest/
 ext_replicator/annotators_details.html): rgb_0000.png; distance_to_image_plane_0000.npy and
 distance_to_camera_0000.npy, float32, infinite where nothing is; semantic_segmentation_0000.png in
-RGBA with semantic_segmentation_labels_0000.json; bounding_box_2d_tight_0000.npy with its labels;
+RGBA with semantic_segmentation_labels_0000.json; bounding_box_2d_tight_0000.npy with its labels,
+bounding_box_3d_0000.npy of what moves;
 camera_params_0000.json with matrices for row vectors, flattened, camera axes as OpenGL's.
 """
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rainsim.datasets.data_files import JSON, NPY, PNG, DataFile, condition
+from rainsim.datasets.kinds import class_of
 from rainsim.datasets.nerfstudio import opengl_pose
 from rainsim.render.labels import OTHER_CLASS
 from rainsim.terrain.table import class_table
@@ -20,6 +25,8 @@ APERTURE = 20.955  # mm, horizontal, USD's default
 NEAR, FAR = 0.01, 1e6  # m
 BOX = [("semanticId", "<u4"), ("x_min", "<i4"), ("y_min", "<i4"), ("x_max", "<i4"),
        ("y_max", "<i4"), ("occlusionRatio", "<f4")]  # fmt: skip
+BOX_3D = [("semanticId", "<u4"), *((f"{axis}_{end}", "<f4") for end in ("min", "max")
+          for axis in "xyz"), ("transform", "<f4", (4, 4)), ("occlusionRatio", "<f4")]  # fmt: skip
 BOXED = ("puddles", "splashes")  # facts with boxes; semanticId counts from 0 in this order
 BACKGROUND = (0, 0, 0, 0)
 
@@ -36,7 +43,14 @@ def sample_files(sample, plan):
     boxes = boxes_of(sample.facts)
     yield DataFile(f"{folder}/bounding_box_2d_tight_{number}.npy", NPY, boxes)
     labels = {"0": {"class": "puddle"}, "1": {"class": "splash"}}
+    kinds = actor_kinds(sample.facts)
+    labels |= {str(number): {"class": kind} for kind, number in kinds.items()}
     yield DataFile(f"{folder}/bounding_box_2d_tight_labels_{number}.json", JSON, labels)
+    if sample.actor_id is not None:
+        boxes = boxes_in_space(sample.facts)
+        yield DataFile(f"{folder}/bounding_box_3d_{number}.npy", NPY, boxes)
+        names = {str(k): {"class": kind} for kind, k in kinds.items()}
+        yield DataFile(f"{folder}/bounding_box_3d_labels_{number}.json", JSON, names)
     params = camera_params(sample.view)
     yield DataFile(f"{folder}/camera_params_{number}.json", JSON, params)
 
@@ -54,17 +68,63 @@ def segmentation(sample, names):
         if code != OTHER_CLASS:
             table[code] = (*class_table().colors[code], 255)
             labels[str(tuple(int(c) for c in table[code]))] = {"class": names[str(code)]}
-    return table[ids], labels
+    colors = table[ids]
+    if sample.labels is not None:
+        own = class_of(sample.labels)
+        for code in np.unique(own[own != OTHER_CLASS]).tolist():
+            _paint(colors, labels, own == code, f"label_{code}")
+    for actor in sample.facts.get("actors", ()):
+        shown = sample.actor_id == actor["number"]
+        if sample.labels is not None:
+            shown &= sample.labels == OTHER_CLASS
+        if shown.any():
+            _paint(colors, labels, shown, actor["class"])
+    return colors, labels
+
+
+def _paint(colors, labels, where, name):
+    """Give pixels the colour of a class by its name, from the name alone."""
+    color = (*hashlib.blake2s(name.encode(), digest_size=3).digest(), 255)
+    colors[where], labels[str(color)] = color, {"class": name}
 
 
 def boxes_of(facts):
-    """Return the boxes of puddles and splashes; right and bottom are the last pixels within."""
+    """Return the boxes of puddles, splashes and actors; right and bottom pixels are within."""
     rows = []
     for number, kind in enumerate(BOXED):
         for entry in facts.get(kind, ()):
             left, top, right, bottom = entry["box"]
             rows.append((number, left, top, right - 1, bottom - 1, 0.0))
+    kinds = actor_kinds(facts)
+    for actor in facts.get("actors", ()):
+        if actor["pixels"]:
+            left, top, right, bottom = actor["box2d_seen"]
+            box = left, top, right - 1, bottom - 1
+            rows.append((kinds[actor["class"]], *box, actor.get("hidden") or 0.0))
     return np.array(rows, BOX)
+
+
+def boxes_in_space(facts):
+    """Return the boxes of actors in the ground frame, as row vectors' transforms have them.
+
+    Extents are in the box's own frame, x ahead and z up [m]; `transform` takes them to the world.
+    """
+    rows, kinds = [], actor_kinds(facts)
+    for actor in facts.get("actors", ()):
+        if actor["pixels"]:
+            box, transform = actor["box3d"], np.eye(4)
+            turn = Rotation.from_quat(box["rotation"], scalar_first=True).as_matrix()
+            transform[:3, :3], transform[3, :3] = turn.T, box["centre"]
+            half = 0.5 * np.array(box["size"])
+            rows.append((kinds[actor["class"]], *-half, *half, transform,
+                         actor.get("hidden") or 0.0))  # fmt: skip
+    return np.array(rows, BOX_3D)
+
+
+def actor_kinds(facts):
+    """Return the semanticId of each class of actors in a picture's facts, a dict."""
+    kinds = sorted({actor["class"] for actor in facts.get("actors", ())})
+    return {kind: number for number, kind in enumerate(kinds, start=len(BOXED))}
 
 
 def camera_params(view):

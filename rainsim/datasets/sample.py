@@ -29,6 +29,41 @@ class View:
     camera: object  # ground frame, metres: size, focal lengths, principal point of the picture
     lens: object = None  # None for a pinhole
     held_out: bool = False  # to test or to validate, not to train on
+    mount: object = None  # the `Sensor` of a rig that takes it
+    frame: int = 0  # of a rig: its place among the pictures of its camera
+    time: float = 0.0  # s, of a rig
+    step: int = 0  # of a rig: the camera of the path that came last
+
+    @property
+    def number(self):
+        """Its place among the pictures of its camera."""
+        return self.index if self.mount is None else self.frame
+
+    @property
+    def moment(self):
+        """A number that pictures of one time share; they are held out together."""
+        return self.index if self.mount is None else self.step
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A turn of a rig's lidar; `index` counts on from the views."""
+
+    index: int
+    name: str
+    mount: object  # `Sensor`
+    frame: int
+    time: float  # s
+    ground_from_sensor: np.ndarray  # (4, 4), m
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """The points of a `Turn`, as a `Sample` is noted and written."""
+
+    view: Turn
+    rate: float  # mm/h
+    cloud: tuple  # see `rainsim.datasets.clouds.Clouds.cloud`
 
 
 @dataclass(frozen=True)
@@ -71,6 +106,17 @@ class Plan:
     names: dict  # classes by id
     partners: tuple = ()  # names in PARTNERS that rainy pictures have
     interval: float = 0.0  # s from view to view of a sequence
+    rig: object = None  # `Rig`
+    turns: tuple = ()  # of its lidars
+
+    @property
+    def parts(self):
+        """All that is drawn in a rain: views, and turns of lidars."""
+        return (*self.views, *self.turns)
+
+    def is_last(self, view):
+        """Whether a view is the last of its camera."""
+        return view.number == max(v.number for v in self.views if v.mount is view.mount)
 
 
 def keep_mask(rain_alpha, splash_alpha, class_id):

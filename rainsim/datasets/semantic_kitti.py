@@ -8,31 +8,41 @@ lidar's axes to the camera's, and times.txt.
 
 from __future__ import annotations
 
-from rainsim.datasets.data_files import BYTES, PNG, TEXT, DataFile, condition
-from rainsim.datasets.kitti import VELODYNE, calibration, poses
+from rainsim.datasets.data_files import PNG, TEXT, DataFile, condition
+from rainsim.datasets.kitti import CAMERAS, calibration, channel_of, is_first, poses
+from rainsim.datasets.kitti_object import cloud_files as object_cloud_files
+from rainsim.datasets.kitti_object import point_files
 
-PROJECTIONS = 4  # lines P0 to P3 of a calibration
+TO_CAMERA, SEQUENCE = "Tr_velo_to_cam", "sequences/00"
 
 
 def sample_files(sample, plan):
     """Yield the `DataFile`s of a sample."""
-    place, number = _sequence(sample.rate), f"{sample.view.index:06d}"
-    yield DataFile(f"{place}/image_2/{number}.png", PNG, sample.picture)
+    place, number = _sequence(sample.rate), f"{sample.view.number:06d}"
+    channel = channel_of(sample.view, plan)
+    yield DataFile(f"{place}/image_{channel}/{number}.png", PNG, sample.picture)
     if sample.cloud is not None:
-        points, labels = sample.cloud
-        yield DataFile(f"{place}/velodyne/{number}.bin", BYTES, points.tobytes())
-        yield DataFile(f"{place}/labels/{number}.label", BYTES, labels.tobytes())
+        yield from point_files(place, number, sample.cloud)
+
+
+def cloud_files(sample, plan):
+    """Yield the `DataFile`s of a turn of a rig's lidar."""
+    yield from object_cloud_files(sample, plan, SEQUENCE)
 
 
 def plan_files(plan, folder):
     """Yield the `DataFile`s of the whole data set."""
-    lines = calibration(plan.views[0].camera).splitlines()[:PROJECTIONS]
-    calib = "".join(f"{line}\n" for line in (*lines, f"Tr: {VELODYNE}"))
-    times = "".join(f"{view.index * plan.interval:.6e}\n" for view in plan.views)
+    lines = calibration(plan.views[0].camera, plan.rig).splitlines()
+    lidar = next(line for line in lines if line.startswith(TO_CAMERA))
+    lines = [*lines[:CAMERAS], lidar.replace(TO_CAMERA, "Tr")]
+    calib = "".join(f"{line}\n" for line in lines)
+    first = [view for view in plan.views if is_first(view, plan)]
+    seconds = [v.index * plan.interval if plan.rig is None else v.time for v in first]
+    times = "".join(f"{second:.6e}\n" for second in seconds)
     for rate in plan.rates:
         for name, text in (("calib", calib), ("poses", poses(plan.views)), ("times", times)):
             yield DataFile(f"{_sequence(rate)}/{name}.txt", TEXT, text)
 
 
 def _sequence(rate):
-    return f"{condition(rate)}/sequences/00"
+    return f"{condition(rate)}/{SEQUENCE}"

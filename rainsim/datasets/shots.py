@@ -35,17 +35,20 @@ class Shots:
     is one pane, which has been rained on for longer from view to view. `readout` [s] of a rolling
     shutter goes from the first row to the last; 0: all rows at once. There is no flow with one.
     With `partners` rainy pictures have `Sample.partners`. With a `lidar`, a key of
-    `lidar_model.SENSORS`, samples have `Sample.cloud`, and actors the share of them that others
-    hide.
+    `lidar_model.SENSORS`, samples have `Sample.cloud`. A `rig_shots.Clock` says when the views of a
+    rig's camera are. Actors have the share of them that others hide.
     """
 
     def __init__(self, scene, terrain, views, config, sequence, backend="cpu", user_labels=None,
-                 readout=0.0, pane=None, partners=False, lidar=None):  # fmt: skip
+                 readout=0.0, pane=None, partners=False, lidar=None, clock=None):  # fmt: skip
         self.scene, self.terrain, self.views = scene, terrain, views
         self.config, self.sequence, self.backend = config, sequence, backend
         self.user_labels, self.readout, self.pane = user_labels, readout, pane
         self.partners = partners
-        self._clouds = None if lidar is None else Clouds(scene, terrain, views, lidar, config)
+        self._clock, self._clouds = clock, None
+        if lidar is not None:
+            places = [view.camera.position for view in views]
+            self._clouds = Clouds(scene, terrain, places, lidar, config, user_labels)
         self._wide = None  # what drops on the glass show: rate, renderer
         self._water = None  # rate, states, the last state
         self._warps = Warps()
@@ -102,8 +105,29 @@ class Shots:
     def _in_sequence(self, config, indices, names):
         cameras = [self.drawn_camera(view) for view in self.views]
         config = config.replace(frames=len(cameras))
-        sequence = FrameSequence(self.scene, self.terrain, cameras, config, self.backend, names)
+        water = None if self._clock is None else self._numbered(config)
+        sequence = FrameSequence(
+            self.scene, self.terrain, cameras, config, self.backend, names, water
+        )
         yield from sequence.frames(indices)
+
+    def _states(self, config):
+        """Return the water's states at the times of the views."""
+        if self._clock is None:
+            return simulate(self.terrain, config)
+        return self._clock.states(self.terrain, config)
+
+    def _numbered(self, config):
+        """Return states(number), which goes on from state to state."""
+        states, state = self._states(config), None
+
+        def of(number):
+            nonlocal state
+            while state is None or state.index < number:
+                state = next(states)
+            return state
+
+        return of
 
     def _rolling(self, config, indices, names):
         """Yield pictures and reports of a rolling shutter, see `rainsim.sensors.rolling`."""
@@ -113,7 +137,7 @@ class Shots:
         scene = without_images(self.scene, self.terrain)
         first = frame.camera_in_capture(path[0])
         renderer = on_backend(self.backend)[0](scene, self.terrain, config, first)
-        states, state = simulate(self.terrain, config), None
+        states, state = self._states(config), None
         for index in indices:
             while state is None or (self.sequence and state.index < index):
                 state = next(states)
@@ -176,11 +200,11 @@ class Shots:
         """Return the `Sample` of a frame, warped to its lens."""
         found, warp = report.aovs, self._warps.of(view.camera, view.lens)
         labels, cloud, facts = None, None, report.facts
+        actors = facts.get("actors", ())
+        if actors:
+            shown = self._with_hidden(actors, self.drawn_camera(view), report.time)
+            facts = {**facts, "actors": shown}
         if self._clouds is not None:
-            actors = facts.get("actors", ())
-            if actors:
-                shown = self._with_hidden(actors, self.drawn_camera(view), report.time)
-                facts = {**facts, "actors": shown}
             cloud = self._cloud(view, rate, actors)
         if self.user_labels is not None:
             labels = self.user_labels.picture(self.drawn_camera(view), found.get(ACTORS))

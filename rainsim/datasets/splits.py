@@ -37,14 +37,16 @@ def check_hold_out(every, count, layout):
 def held_out(views, every):
     """Return the views with every `every`-th held out; 0 holds none out."""
     return tuple(
-        replace(view, held_out=every > 0 and view.index % every == every - 1) for view in views
+        replace(view, held_out=every > 0 and view.moment % every == every - 1) for view in views
     )
 
 
 def lists_of(views):
     """Return the views to train on, to validate and to test: held-out ones test first, in turn."""
     held = [view for view in views if view.held_out]
-    return [view for view in views if not view.held_out], held[1::2], held[0::2]
+    tested = set(sorted({view.moment for view in held})[0::2])
+    val, test = ([v for v in held if (v.moment in tested) == wanted] for wanted in (False, True))
+    return [view for view in views if not view.held_out], val, test
 
 
 def split_note(views, layout):
@@ -62,8 +64,9 @@ def split_note(views, layout):
     empty = [name for name, n in parts.items() if n == 0]
     if not empty:
         return text
-    wanted = f"give --hold-out {usual_hold_out(count)}"
-    if count < LEAST_VIEWS:
+    moments = len({view.moment for view in views})
+    wanted = f"give --hold-out {usual_hold_out(moments)}"
+    if moments < LEAST_VIEWS:
         wanted = f"take {LEAST_VIEWS} views or more"
     elif empty == ["train"]:
         wanted = "give a greater --hold-out"

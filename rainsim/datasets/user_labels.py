@@ -22,6 +22,7 @@ from rainsim.lod.paged import rasterizer_of_scene
 from rainsim.render.labels import OTHER_CLASS
 
 NEAR = 0.05  # m
+REACH = 0.1  # m from a lidar's point, beyond which no splat is taken for what it met
 NEAREST = 0.5  # m from the next labelled splat, beyond which a splat has no label
 
 
@@ -33,7 +34,7 @@ class UserLabels:
     """
 
     def __init__(self, scene, ids, render):
-        self.ids = ids
+        self.ids, self._scene, self._tree = ids, scene, None
         self._of_actors = np.array([OTHER_CLASS, *(a.label for a in scene.actors)], np.uint16)
         self._near = NEAR / scene.ground_frame.meters_per_unit
         self._rasterizer = _numbered_rasterizer(scene, render)
@@ -47,6 +48,22 @@ class UserLabels:
         hit = self._rasterizer.draw(camera, self._near, hit=True).hit
         labels = np.where(hit >= 0, self.ids[np.maximum(hit, 0)], np.uint16(OTHER_CLASS))
         return labels if actor is None else np.where(actor > 0, self._of_actors[actor], labels)
+
+    def of_points(self, places):
+        """Return the ids of points (n, 3) [m] in the ground frame, by the nearest splat.
+
+        OTHER_CLASS for none, and of a scene in chunks for all.
+        """
+        if self._scene.pages is not None:
+            return np.full(len(places), OTHER_CLASS, np.uint16)
+        frame = self._scene.ground_frame
+        if self._tree is None:
+            self._tree = cKDTree(self._scene.splats.position)
+        away, which = self._tree.query(
+            frame.to_capture(places), distance_upper_bound=REACH / frame.meters_per_unit
+        )
+        found = np.isfinite(away)
+        return np.where(found, self.ids[np.where(found, which, 0)], np.uint16(OTHER_CLASS))
 
 
 def read_labels(path, scene, render):

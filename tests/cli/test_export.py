@@ -67,6 +67,30 @@ def test_pairs_of_clear_and_rainy_pictures(export, tmp_path):
     assert "| 50 | `rain/50mm` |" in text
 
 
+def test_a_rig_goes_on_where_it_was_killed_too(export, tmp_path):
+    pair = "".join(f'[[camera]]\nname = "{n}"\nat = [0, {y}, 0]\nwidth = 48\nheight = 32\n'
+                   f"fov = 60\n" for n, y in (("left", 0.05), ("right", -0.05)))  # fmt: skip
+    lidar = '[[lidar]]\nname = "top"\nsensor = "vlp16"\nat = [0, 0, 0.1]\n'
+    (tmp_path / "rig.toml").write_text(f"[vehicle]\nlevel = false\n{pair}{lidar}")
+    words = "--rig", "rig.toml", "--rain", "25", "--layout", "kitti_object", "--views", "2"
+    drive = "--drive", "--fps", "2"
+    assert "must follow --drive or --path" in export("none", *words).err
+    assert "leave that out" in export("none", *words, *drive, "--lidar", "hdl64").err
+    done = export("whole", *words, *drive)
+    assert done.code == 0, done.err
+    card = json.loads((tmp_path / "whole/card.json").read_text())
+    assert (card["pictures"], card["turns"]) == (4, 2)
+    files = files_in(tmp_path / "whole")
+    for name in ("image_2/000001.png", "image_3/000001.png", "velodyne/000001.bin"):
+        assert f"rain/25mm/training/{name}" in files
+    journal = tmp_path / "whole/pictures.jsonl"
+    journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:3]))
+    (tmp_path / "whole/card.json").write_text(json.dumps({**card, "complete": False}))
+    done = export("whole", *words, *drive, "--resume")
+    assert done.code == 0 and "3 of 6" in done.err, done.err
+    assert without_times(files_in(tmp_path / "whole")) == without_times(files)
+
+
 def test_an_export_that_was_killed_goes_on(export, tmp_path):
     words = "--rain", "0,25", "--layout", "colmap", "--views", "view_0,view_2"
     assert export("whole", *words).code == 0

@@ -49,11 +49,13 @@ def test_names_ids_and_instances():
     assert (ids[10:20] == 7).all() and (ids[20:24] == 7).all()  # paving, and the puddle on it
     assert (train[8:10] == 255).all() and (ids[8:10] == 0).all()
     own = np.full((30, 40), 21, np.uint16)
-    own[:4], own[4:6] = 26, 255
+    own[:4], own[4:6], own[15] = 26, 255, 24007
     mine = driven(plan, 0, labels=own)
-    assert cityscapes.label_ids(mine)[[1, 4, 20], 5].tolist() == [26, 0, 21]
+    assert cityscapes.label_ids(mine)[[1, 4, 15, 20], 5].tolist() == [26, 0, 24, 21]
+    assert cityscapes.label_ids(mine)[4, 15] == 26  # the actor, where the user has no label
     found = cityscapes.instance_ids(mine, cityscapes.label_ids(mine))
     assert found[2, [5, 15]].tolist() == [26, 26001]  # a group, and the actor
+    assert found[15, 5] == 24007
     assert cityscapes.city_of("my_yard-2.5") == "myyard25" and cityscapes.city_of("__") == "scene"
 
 
