@@ -91,10 +91,11 @@ def test_the_flows_between_a_discharge_and_a_level_are_steady():
 
 @pytest.mark.parametrize(
     ("name", "cells", "bound"),
-    [("bump, jump", 50, 0.01), ("bump, tranquil", 50, 0.006), ("macdonald, tranquil", 50, 0.01)],
+    [("bump, jump", 50, 0.01), ("bump, tranquil", 50, 0.002), ("macdonald, tranquil", 50, 0.004)],
 )
 def test_a_discharge_and_a_level_hold_the_exact_flow(name, cells, bound):
     record = hydraulics.measure(name, cells, "accurate")
+    # From rest what comes in stands 0.14 m too high in MacDonald's first cell.
     assert record["error"] < bound and abs(record["residual"]) < 1e-9
 
 
