@@ -8,6 +8,7 @@ import numpy as np
 
 from rainsim.bench import cases, peers
 from rainsim.bench.chart import draw_fronts, front
+from rainsim.bench.flood_cases import Arrivals
 from rainsim.bench.suite import machine, markdown, quiet
 from rainsim.grid import WaterSolver
 from rainsim.jit import cpu_kernel, prange
@@ -35,7 +36,10 @@ COPY_SIZE = {False: 1 << 25, True: 1 << 20}  # numbers, more than caches hold
 
 
 def solve(case, scheme, dtype=np.float32):
-    """Run a case; return the solver, its last report, the steps, seconds and gauge readings."""
+    """Run a case; return the solver, its last report, the steps, seconds and gauge readings.
+
+    The readings of a flood are arrivals [s].
+    """
     solver = WaterSolver(
         case.bed, case.spacing, scheme=scheme, boundary=case.boundary, manning=case.manning,
         gravity=cases.GRAVITY, dtype=dtype, conditions=case.extra.get("conditions", list)(),
@@ -44,8 +48,9 @@ def solve(case, scheme, dtype=np.float32):
     steps, readings = 0, []
     start = time.perf_counter()
     if "flow" not in case.extra:
-        report = solver.advance(case.duration, rain=case.extra.get("supply", 0.0))
-        steps = report.substeps
+        watch = Arrivals(solver, case) if "gauges" in case.extra else None
+        report = solver.advance(case.duration, case.extra.get("supply", 0.0), watch)
+        steps, readings = report.substeps, watch.times if watch else readings
     else:
         period = case.extra.get("period", GAUGE_PERIOD)
         for n in range(round(case.duration / period)):
@@ -72,7 +77,7 @@ def measure(case, scheme, repeats=1, dtype=np.float32):
         solver, report, steps, seconds, readings = solve(case, scheme, dtype)
         best = seconds if best is None else min(best, seconds)
     depth = solver.depth.astype(np.float64)
-    if readings:
+    if "flow" in case.extra:
         at, flow = np.array(readings).T
         exact = np.interp(at, case.extra["time"], case.extra["flow"])
         error = float(np.abs(flow - exact).sum() / exact.sum())
@@ -83,7 +88,7 @@ def measure(case, scheme, repeats=1, dtype=np.float32):
         "seconds": best, "steps": steps, "max_speed": report.max_speed,
         "residual": report.residual, "reason": report.reason,
     }  # fmt: skip
-    if "edge" in case.extra:
+    if "edge" in case.extra or "gauges" in case.extra:
         record["readings"] = readings
     if case.name == "ripple":
         record["crest"] = cases.crest_of(case, depth)
