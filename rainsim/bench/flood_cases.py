@@ -154,6 +154,6 @@ def in_published_span(depth, spacing, room=0.02):
     line = 0.5 * (depth[len(depth) // 2] + depth[len(depth) // 2 - 1])
     found = [line[int(x / spacing)] for x in PUBLISHED_SPAN]
     return sum(
-        low - room <= deep <= high + room
+        bool(low - room <= deep <= high + room)
         for deep, (low, high) in zip(found, PUBLISHED_SPAN.values(), strict=True)
     )
