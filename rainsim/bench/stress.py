@@ -301,7 +301,7 @@ def table(result):
             elif record["outcome"] != "holds":
                 text = f"**{text} {record['outcome'].partition(':')[0]}**"
             rows.setdefault(name, {})[record["scheme"]] = text
-    cells = [(name, *(row[scheme] for scheme in SCHEMES)) for name, row in rows.items()]
+    cells = [(name, *(row.get(scheme, "") for scheme in SCHEMES)) for name, row in rows.items()]
     return "\n".join(markdown(("case", *SCHEMES), cells))
 
 

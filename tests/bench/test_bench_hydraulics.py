@@ -230,4 +230,5 @@ def test_a_quick_run_has_every_case(tmp_path):
     assert result["sill"]["lean"]["leaves"] > 0.999
     chart.require_matplotlib()
     hydraulics.draw(result, tmp_path / "c.png")
-    assert (tmp_path / "c.png").stat().st_size > 10_000
+    for name in ("c.png", "c-orders.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
