@@ -29,7 +29,7 @@ from rainsim.errors import (
 from rainsim.io.states import digest, read_solver, write_solver
 from rainsim.ledger import Ledger
 from rainsim.water.choose import MAX_COURANT, SCHEMES, choose
-from rainsim.water.conditions import apply_conditions, longest_step, place_all
+from rainsim.water.conditions import apply_conditions, let_in, longest_step, place_all
 from rainsim.water.conserving_flow import AccurateFlow, LeanFlow
 from rainsim.water.inputs import (
     EDGES,
@@ -335,6 +335,7 @@ class WaterSolver:
 
     def _step(self, dt, last):
         """Advance depth, sources and velocity by `dt` [s]; see the module's docstring."""
+        let_in(self, self.time, self.time + dt)
         self._ledger.outflow += self.flow.advance_depth(dt)  # h at n+1
         if self.conditions:
             came, left = apply_conditions(self, self.time, self.time + dt, DRY_DEPTH)

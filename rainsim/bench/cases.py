@@ -28,7 +28,7 @@ class Case:
     [m/s]: a map of rain that falls all the time. "rate" [m/s]: rain until "until" [s], for a
     hydrograph "flow" over "time" [s] at "gauge" [m] from the west [m2/s], or at the edge "edge"
     [m3/s]. "conditions": what makes the conditions at the edges. "u" [m/s]: velocity eastwards at
-    the start.
+    the start. "gauges": rows and columns at which arrivals are noted, by `flood_cases.Arrivals`.
     """
 
     name: str
@@ -45,7 +45,8 @@ class Case:
     extra: dict = field(default_factory=dict)
 
 
-def _grid(nx, ny, length, x0=0.0, y0=0.0):
+def cell_grid(nx, ny, length, x0=0.0, y0=0.0):
+    """Return x and y of the cells' centres and their side [m], of nx x ny cells."""
     spacing = length / nx
     x, y = np.meshgrid(x0 + (np.arange(nx) + 0.5) * spacing, y0 + (np.arange(ny) + 0.5) * spacing)
     return x, y, spacing
@@ -54,7 +55,7 @@ def _grid(nx, ny, length, x0=0.0, y0=0.0):
 def stoker(cells):
     """A dam between 5 mm and 1 mm of water goes; 6 s later."""
     left, right, time, middle = 0.005, 0.001, 6.0, 5.0
-    x, _, spacing = _grid(cells, 8, 10.0)
+    x, _, spacing = cell_grid(cells, 8, 10.0)
     c_left, c_right = np.sqrt(GRAVITY * left), np.sqrt(GRAVITY * right)
 
     def mismatch(c):
@@ -74,7 +75,7 @@ def stoker(cells):
 def ritter(cells):
     """A dam between 5 mm of water and dry ground goes; 6 s later."""
     left, time, middle = 0.005, 6.0, 5.0
-    x, _, spacing = _grid(cells, 8, 10.0)
+    x, _, spacing = cell_grid(cells, 8, 10.0)
     c = np.sqrt(GRAVITY * left)
     fan = 4 / (9 * GRAVITY) * (c - (x - middle) / (2 * time)) ** 2
     exact = np.where(x < middle + 2 * time * c, fan, 0.0)
@@ -85,7 +86,7 @@ def ritter(cells):
 def bowl_planar(cells):
     """Water with a plane surface swings round a parabolic bowl (Thacker 1981); one period."""
     radius, deep, shift = 1.0, 0.1, 0.5
-    x, y, spacing = _grid(cells, cells, 4.0, -2.0, -2.0)
+    x, y, spacing = cell_grid(cells, cells, 4.0, -2.0, -2.0)
     rate = np.sqrt(2 * GRAVITY * deep) / radius
     bed = -deep * (1 - (x**2 + y**2) / radius**2)
     start = np.maximum(0, shift * deep / radius**2 * (2 * x - shift) - bed)
@@ -96,7 +97,7 @@ def bowl_planar(cells):
 def bowl_radial(cells):
     """Water swells and sinks in a parabolic bowl (Thacker 1981); one period."""
     radius, deep, start_radius = 1.0, 0.1, 0.8
-    x, y, spacing = _grid(cells, cells, 4.0, -2.0, -2.0)
+    x, y, spacing = cell_grid(cells, cells, 4.0, -2.0, -2.0)
     r2 = x**2 + y**2
     rate = np.sqrt(8 * GRAVITY * deep) / radius
     a = (radius**2 - start_radius**2) / (radius**2 + start_radius**2)
@@ -110,7 +111,7 @@ def bowl_radial(cells):
 def ripple(cells):
     """A hump of 20 micrometres, 1 cm wide, on 2 cm of water spreads as a ring; 0.4 s later."""
     deep, height, width, time, length = 0.02, 2e-5, 0.01, 0.4, 0.5
-    x, y, spacing = _grid(cells, cells, length, -length / 2, -length / 2)
+    x, y, spacing = cell_grid(cells, cells, length, -length / 2, -length / 2)
     r, c = np.hypot(x, y), np.sqrt(GRAVITY * deep)
     k, radii = np.linspace(0, 9 / width, 6001), np.linspace(0, 0.75 * length, 1501)
     spectrum = height * width**2 * np.exp(-0.5 * (k * width) ** 2) * np.cos(c * k * time) * k
@@ -123,7 +124,7 @@ def ripple(cells):
 
 def lake(cells):
     """A lake at rest on a rough bed with islands and tall single cells: nothing may move."""
-    x, y, spacing = _grid(cells, cells, 10.0)
+    x, y, spacing = cell_grid(cells, cells, 10.0)
     rng = np.random.default_rng(1)
     bed = 0.3 * np.sin(1.3 * x) * np.cos(1.7 * y) + 0.15 * rng.random(x.shape)
     bed[rng.random(x.shape) < 0.01] += 1.0
@@ -136,7 +137,7 @@ def lake(cells):
 def rain(cells, slope=0.01):
     """50 mm/h for 300 s on a slope; the hydrograph 20 m down the slope, until 500 s."""
     length, rate, until, time, manning = 20.0, 50 / 3.6e6, 300.0, 500.0, 0.02
-    x, _, spacing = _grid(cells, 8, 25.0)
+    x, _, spacing = cell_grid(cells, 8, 25.0)
     t = np.linspace(0, time, 501)
     flow = kinematic_flow(t, length, np.sqrt(slope) / manning, rate, until)
     extra = {"rate": rate, "until": until, "time": t, "flow": flow, "gauge": length}

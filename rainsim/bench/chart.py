@@ -94,6 +94,34 @@ def draw_fronts(path, panels, title, default=None, error="relative error", time=
     save(figure, path)
 
 
+def draw_orders(path, panels, title):
+    """Draw errors against cells with a line for each method, and those of first and second order.
+
+    `panels` is {case: {method: [(cells, error), ...]}}.
+    """
+    pyplot = require_matplotlib()
+    columns = min(3, len(panels))
+    rows = -(-len(panels) // columns)
+    figure, axes = pyplot.subplots(
+        rows, columns, figsize=(3.4 * columns, 3.0 * rows), squeeze=False, layout="constrained"
+    )
+    for axis in axes.flat[len(panels) :]:
+        axis.set_visible(False)
+    for axis, (name, lines) in zip(axes.flat, panels.items(), strict=False):
+        for n, (method, points) in enumerate(lines.items()):
+            cells, error = zip(*sorted(points), strict=True)
+            axis.plot(cells, error, marker=MARKERS[n], color=COLORS[n], label=method)
+        top = max(error for points in lines.values() for _, error in points)
+        for order, style in ((1, ":"), (2, "--")):
+            ideal = [top * (cells[0] / many) ** order for many in cells]
+            axis.plot(cells, ideal, color="0.6", linestyle=style, label=f"order {order}", zorder=1)
+        axis.set(title=name, xlabel="cells along a side", ylabel="relative error")
+        log_ticks(axis)
+    axes.flat[0].legend(fontsize=8)
+    figure.suptitle(title)
+    save(figure, path)
+
+
 def _span(panels):
     """Return the least and the greatest time [ms] of all methods, with a margin."""
     times = [1e3 * t for p in panels.values() for line in p["lines"].values() for t, _ in line]

@@ -2,16 +2,20 @@
 
 Beside the dam breaks and a bowl of `rainsim bench water` there are flows that stand still (a bump,
 MacDonald's channels), rain on planes and a V-catchment, on every scheme in float32 and float64.
+Floods through streets and over plains are compared with a run on cells of half the size.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from rainsim.bench import cases, held_cases, hydraulic_cases, water
-from rainsim.bench.chart import draw_fronts
+from rainsim.bench import cases, flood_cases, held_cases, hydraulic_cases, water
+from rainsim.bench.chart import draw_fronts, draw_orders
+from rainsim.bench.flood_cases import PUBLISHED_SPAN
 from rainsim.bench.suite import machine, markdown, quiet
 from rainsim.jit import set_threads
 
@@ -37,10 +41,15 @@ SUITE = {
     "plane 2 %": (hydraulic_cases.plane_middle, (60, 120, 240), (30, 60)),
     "plane 10 %": (hydraulic_cases.plane_steep, (60, 120, 240), (30, 60)),
     "catchment": (hydraulic_cases.catchment, (81, 162, 243), (81,)),
+    "street": (flood_cases.street, (60, 120, 240), (30, 60)),
+    "EA 2, hollows": (flood_cases.hollows, (20, 40, 80), (20,)),
+    "EA 4, plain": (flood_cases.plain, (50, 100, 200), (25, 50)),
+    "EA 6A, flume": (flood_cases.flume, (179, 358, 716), (179,)),
 }
 REPEATS = {False: 2, True: 1}  # runs of a case, of which the fastest counts
 NEARLY = 0.95  # of the steady flow, whose time is compared
 LEFT_OUT = {
+    "EA 1, 3, 5, 6B, 7, 8A and 8B": "no description with numbers of their ground was opened",
     "channels that the water enters fast": "no edge takes depth and speed at once",
     "Dressler's dam break": "Chezy's friction, of which the solver has none, and it is asymptotic",
     "Thacker's bowl with friction": "linear in the velocity (Sampson et al. 2006); the solver has "
@@ -48,15 +57,36 @@ LEFT_OUT = {
 }
 
 
-def measure(name, cells, method, repeats=1):
-    """Return the record of `water.measure` of a case by its name in `SUITE`."""
-    case = SUITE[name][0](cells)
+def measure(name, cells, method, repeats=1, fine=None):
+    """Return the record of `water.measure` of a case by its name in `SUITE`.
+
+    A flood is compared with a run on `fine` cells, by default twice as many.
+    """
+    make = SUITE[name][0]
+    case = make(cells)
     scheme, dtype = METHODS[method]
+    if "gauges" in case.extra:
+        depth, arrivals = flood_cases.refined(make, fine or 2 * cells, water.solve)
+        case = replace(case, exact=flood_cases.mean_of(depth, case.bed.shape[0]))
     record = water.measure(case, scheme, repeats, dtype)
     record.update(case=name, scheme=method)
-    if "readings" in record:
-        record["catchment"] = _hydrograph(case, record.pop("readings"))
+    readings = record.pop("readings", None)
+    if "gauges" in case.extra:
+        record["flood"] = _flood(readings, arrivals)
+    elif readings:
+        record["catchment"] = _hydrograph(case, readings)
     return record
+
+
+def _flood(arrivals, exact):
+    """Return how arrivals [s] compare with those of the refined run."""
+    both = ~np.isnan(arrivals) & ~np.isnan(exact)
+    late = np.abs(arrivals - exact)[both]
+    return {
+        "late": float(late.mean() / exact[both].mean()) if both.any() else math.nan,
+        "reached": int(np.isfinite(arrivals).sum()), "should": int(np.isfinite(exact).sum()),
+        "of": len(exact),
+    }  # fmt: skip
 
 
 def _hydrograph(case, readings):
@@ -71,6 +101,13 @@ def _hydrograph(case, readings):
         "reached_in_theory": float(at[np.argmax(exact >= NEARLY * steady)]),
         "volume": float(np.trapezoid(flow, at) / volume),
     }
+
+
+def in_span(cells, method):
+    """Return at how many places of `flood_cases.PUBLISHED_SPAN` a run of EA 4 is within it."""
+    case, (scheme, dtype) = flood_cases.plain(cells), METHODS[method]
+    solver, *_ = water.solve(case, scheme, dtype)
+    return flood_cases.in_published_span(solver.depth, case.spacing)
 
 
 def at_sill(method):
@@ -107,7 +144,8 @@ def run(quick=False, say=quiet):
     """Run the whole bench, see `rainsim.bench.suite`.
 
     The result has "machine", "quick", "records" (a list of dicts), "orders" ({case: {method:
-    order}}), "sill" ({method: what `at_sill` returns}) and "left_out" ({case: reason}).
+    order}}), "sill" and "in_span" ({method: what `at_sill` and `in_span` return}) and "left_out"
+    ({case: reason}).
     """
     threads = set_threads(None)
     set_threads(1)  # maps of four rows: a second thread only waits, long if the machine is busy
@@ -125,7 +163,8 @@ def _run(quick, say):
     for name, (_, *sizes) in SUITE.items():
         for cells in sizes[quick]:
             for method in METHODS:
-                records.append(measure(name, cells, method, REPEATS[quick]))
+                fine = 2 * sizes[quick][-1]
+                records.append(measure(name, cells, method, REPEATS[quick], fine))
                 say(water.line(records[-1]))
     water.mark_front(records)
     by_case = {}
@@ -134,6 +173,7 @@ def _run(quick, say):
     return {
         "machine": machine(dtype="float32, float64"), "quick": quick, "records": records,
         "orders": by_case, "sill": {method: at_sill(method) for method in METHODS},
+        "in_span": {method: in_span(50, method) for method in METHODS},
         "left_out": LEFT_OUT,
     }  # fmt: skip
 
@@ -149,6 +189,11 @@ def table(result):
          f"{found['reached_in_theory']:.0f}", f"{found['volume']:.4f}")
         for r in result["records"] if (found := r.get("catchment"))
     ]  # fmt: skip
+    floods = [
+        (r["case"], r["cells"], r["scheme"], f"{found['late']:.1%}",
+         f"{found['reached']} / {found['should']} / {found['of']}")
+        for r in result["records"] if (found := r.get("flood")) and "64" not in r["scheme"]
+    ]  # fmt: skip
     sill = [
         (name, *(format(result["sill"][method][key], form) for method in METHODS))
         for name, key, form in (
@@ -156,6 +201,9 @@ def table(result):
         )
     ]  # fmt: skip
     reached = f"{NEARLY:.0%} reached [s]", "in theory [s]"
+    places = f"EA 4: depths within the packages' span, of {len(PUBLISHED_SPAN)}"
+    sill.append((places, *(result["in_span"][method] for method in METHODS)))
+    reached_of = "reached / should / gauges"
     return "\n".join([
         *water.front_lines(result["records"], METHODS), "",
         *markdown(("order", *METHODS), orders_), "",
@@ -163,15 +211,22 @@ def table(result):
             ("catchment", "cells", "steady flow", *reached, "volume left over theory's"),
             hydrographs,
         ), "",
-        *markdown(("sill at an open edge", *METHODS), sill), "", "Left out:", "",
+        *markdown(("flood", "cells", "scheme", "arrival off by", reached_of), floods),
+        "",
+        *markdown(("sill at an open edge, and EA 4", *METHODS), sill), "", "Left out:", "",
         *(f"- {name}: {reason}" for name, reason in result["left_out"].items()),
     ])  # fmt: skip
 
 
 def draw(result, path):
-    """Draw the chart of a result of `run` to a PNG."""
-    panels = {}
+    """Draw error against time to a PNG, and error against cells to one beside it, -orders."""
+    panels, orders_ = {}, {}
     for record in result["records"]:
         lines = panels.setdefault(record["case"], {"lines": {}})["lines"]
         lines.setdefault(record["scheme"], []).append((record["seconds"], record["error"]))
+        if "64" not in record["scheme"] and record["case"] in result["orders"]:
+            lines = orders_.setdefault(record["case"], {})
+            lines.setdefault(record["scheme"], []).append((record["cells"], record["error"]))
+    beside = Path(path).with_name(f"{Path(path).stem}-orders.png")
+    draw_orders(beside, orders_, "Hydraulics: how errors fall with the grid (float32)")
     draw_fronts(path, panels, "Hydraulics: error against time (one thread; 64: float64)")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ LONG_DRIFT = 1e-5  # float32, after 1e5 steps
 MOST_SPEED = 1.1  # of the energy bound
 CELLS = {False: 64, True: 24}
 SPAN = {False: 3.0, True: 0.5}  # s
+TERRAINS = {False: 10, True: 2}
 CHECKS = 30  # of the water, evenly in SPAN
 LONG_STEPS = {False: 3_000, True: 300}  # of random rain
 FRAME = 0.1  # s
@@ -45,6 +46,8 @@ class Trial:
     depth: np.ndarray
     rain: float = 0.0
     drains: tuple = ()
+    infiltration: float = 0.0
+    stays_dry: np.ndarray | None = None  # cells that no water can reach
 
 
 def _grid(cells):
@@ -89,6 +92,44 @@ def drain(cells):
     return Trial("drain in a basin", bed, spacing, np.maximum(0.3 - bed, 0), drains=drains)
 
 
+def thin_film(cells):
+    """Five micrometres of water on the ground of `film`."""
+    return replace(film(cells), name="five micrometres at 45 degrees", depth=film(cells).depth / 20)
+
+
+def drying(cells):
+    """A lake with islands that sinks into the ground within 1.5 s."""
+    x, y, spacing = _grid(cells)
+    bed = 0.2 * (x**2 + y**2) + 0.1 * np.random.default_rng(5).random(x.shape)
+    return Trial("drying lake", bed, spacing, np.maximum(0.25 - bed, 0), infiltration=0.15)
+
+
+def walls(cells):
+    """A dam breaks in a yard whose walls are one cell thin, one of them oblique; dry outside."""
+    x, y, spacing = _grid(cells)
+    j, i = np.mgrid[:cells, :cells]
+    low, high = cells // 6, cells - cells // 6
+    yard = (i > low) & (i < high) & (j > low) & (j < high) & (i + j < int(1.4 * cells))
+    around = np.pad(yard, 1)
+    beside = around[:-2, 1:-1] | around[2:, 1:-1] | around[1:-1, :-2] | around[1:-1, 2:]
+    bed = np.where(beside & ~yard, 3.0, 0.0) + 0.01 * np.sin(9 * x * y)
+    start = np.where(yard & (i < cells // 2), 0.4, 0.0)
+    return Trial("walls a cell thin", bed, spacing, start, stays_dry=~yard)
+
+
+def terrain(cells, seed):
+    """Random ground, from smooth hills (`seed` 0) to steps and needles (9), under rain."""
+    rng = np.random.default_rng(seed)
+    k = np.hypot(*np.meshgrid(np.fft.fftfreq(cells), np.fft.rfftfreq(cells), indexing="ij"))
+    roughness = 3 - 0.25 * seed  # exponent of the spectrum's fall
+    waves = np.exp(2j * np.pi * rng.random(k.shape)) / np.maximum(k, 1 / cells) ** roughness
+    bed = np.fft.irfft2(waves, (cells, cells))
+    bed = np.round(4 * bed / np.ptp(bed)) / 4 if seed % 3 == 2 else bed / np.ptp(bed)
+    start = np.maximum(np.median(bed) - bed, 0)
+    start[: cells // 2] *= 1.5
+    return Trial(f"terrain {seed}", bed, 2 / cells, start, rain=100 / 3.6e6)
+
+
 def bumps(cells):
     """Uneven ground: hills, stones with walls and noise, dry at first."""
     x, y, _ = _grid(cells)
@@ -98,7 +139,7 @@ def bumps(cells):
     return Trial("random rain", bed, 0.05, np.zeros(x.shape))
 
 
-TRIALS = (dam, film, steps, peak, drain)
+TRIALS = (dam, film, thin_film, steps, peak, drain, drying, walls)
 
 
 class _Extremes:
@@ -107,7 +148,7 @@ class _Extremes:
     def __init__(self, bed, start):
         self._bed, self._lowest, self._start = bed, float(bed.min()), start
         self._deepest, self._highest = 0.0, self._lowest
-        self.speed, self.least, self.moved = 0.0, math.inf, 0.0
+        self.speed, self.least, self.moved, self.leaked = 0.0, math.inf, 0.0, 0.0
         self.update(start)
 
     def update(self, depth, report=None):
@@ -141,6 +182,7 @@ def _record(run, extremes, drift, allowed, count, seconds, why=None):
             ("loses depth", extremes.least >= 0),
             ("changes volume", abs(drift) <= allowed),
             ("too fast", extremes.speed <= MOST_SPEED),
+            ("leaks", extremes.leaked == 0),
         ]
         why = ", ".join(word for word, good in holds if not good) or "holds"
     return {
@@ -152,24 +194,34 @@ def _record(run, extremes, drift, allowed, count, seconds, why=None):
     }  # fmt: skip
 
 
-def endure(trial, scheme, span=3.0, dtype=np.float32, courant=None):
-    """Run a trial for `span` [s] on a scheme; return its record, even if it fails."""
+def endure(trial, scheme, span=3.0, dtype=np.float32, courant=None, forced=False):
+    """Run a trial for `span` [s] on a scheme; return its record, even if it fails.
+
+    A Courant number that the solver refuses is taken where it is `forced`.
+    """
     allowed, count, start = MOST_DRIFT[dtype], 0, time.perf_counter()
     run = _Run(trial.name, scheme, dtype, courant)
     try:
         solver = WaterSolver(
-            trial.bed, trial.spacing, scheme=scheme, courant=courant, drains=list(trial.drains),
-            gravity=GRAVITY, dtype=dtype,
+            trial.bed, trial.spacing, scheme=scheme, courant=None if forced else courant,
+            drains=list(trial.drains), infiltration=trial.infiltration, gravity=GRAVITY,
+            dtype=dtype,
         )  # fmt: skip
     except ParameterError:
         return _record(run, None, math.nan, 0, 0, 0, "refused")
     solver.set_state(trial.depth)
+    if forced:
+        solver._asked_courant = courant
+        solver._choose_scheme()
     extremes, worst = _Extremes(trial.bed, trial.depth), 0.0
     try:
         for _ in range(CHECKS):
             report = solver.advance(span / CHECKS, rain=trial.rain)
             count += report.substeps
-            extremes.update(solver.depth, report)
+            depth = solver.depth
+            extremes.update(depth, report)
+            if trial.stays_dry is not None:
+                extremes.leaked = max(extremes.leaked, float(depth[trial.stays_dry].max()))
             worst = max(worst, abs(report.residual))
     except DivergedError as error:
         why = f"diverges: {error}".partition(";")[0]
@@ -214,7 +266,13 @@ def run(quick=False, say=quiet):
             for dtype in (np.float32, np.float64):
                 note(endure(make(CELLS[quick]), scheme, SPAN[quick], dtype))
         for courant in COURANTS:
-            note(endure(dam(CELLS[quick]), scheme, SPAN[quick], courant=courant))
+            record = endure(dam(CELLS[quick]), scheme, SPAN[quick], courant=courant)
+            note(record)
+            if record["outcome"] == "refused":
+                note(endure(dam(CELLS[quick]), scheme, SPAN[quick], courant=courant, forced=True))
+                records[-1]["case"] = "dam, forced"
+        for seed in range(TERRAINS[quick]):
+            note(endure(terrain(CELLS[quick], seed), scheme, SPAN[quick]))
         for dtype in (np.float32, np.float64):
             note(endure_rain(bumps(CELLS[quick]), scheme, LONG_STEPS[quick], dtype))
     return {"quick": quick, "records": records}
@@ -243,7 +301,7 @@ def table(result):
             elif record["outcome"] != "holds":
                 text = f"**{text} {record['outcome'].partition(':')[0]}**"
             rows.setdefault(name, {})[record["scheme"]] = text
-    cells = [(name, *(row[scheme] for scheme in SCHEMES)) for name, row in rows.items()]
+    cells = [(name, *(row.get(scheme, "") for scheme in SCHEMES)) for name, row in rows.items()]
     return "\n".join(markdown(("case", *SCHEMES), cells))
 
 
@@ -260,7 +318,7 @@ def draw(result, path):
             if record["dtype"] in name and record["outcome"] != "refused":
                 label = record["case"]
                 if record["courant"]:
-                    label = f"dam, Courant {record['courant']:g}"
+                    label = f"{record['case']}, Courant {record['courant']:g}"
                 value = record[key] if math.isfinite(record[key]) else math.inf
                 marks.setdefault(record["scheme"], {})[label] = max(value, floor)
             elif record["dtype"] in name:

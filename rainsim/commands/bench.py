@@ -89,11 +89,12 @@ def stress():
 
 @_suite("Water schemes on analytic cases and hydrographs.")
 def hydraulics():
-    """Run steady channels, dam breaks, a bowl, rain on planes and a V-catchment.
+    """Run steady channels, dam breaks, a bowl, rain on planes, a V-catchment and floods.
 
     Every water scheme in float32 and float64 at three sizes: prints error and time, then tables
-    with the front of accuracy against time in bold, the orders at which errors fall with the grid,
-    and what the catchment's hydrograph is beside kinematic theory.
+    with the front of accuracy against time in bold, the orders at which errors fall with the grid
+    (a second chart, -orders, draws them), what the catchment's hydrograph is beside kinematic
+    theory, and when floods arrive beside a refined run.
 
     \b
     Example:

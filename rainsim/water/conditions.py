@@ -2,7 +2,8 @@
 
 Each acts on the last cells of its part once in a step, after the flow: a stage sets their level, a
 discharge adds water or takes it, a rating curve takes what belongs to their level. The edge itself
-is a wall there. What is added joins at the speed of the water in its cell, as rain does.
+is a wall there, but what comes in passes its faces at the speed that it has in its cell, see
+`StaggeredFlow.let_in`; what is wanting there is added.
 """
 
 from __future__ import annotations
@@ -67,6 +68,11 @@ class Condition:
     def reset(self):
         """Begin a new account."""
         self.volume = self.flow = 0.0
+        self._rises = self.passes = np.zeros(len(self.rows))
+
+    def comes_in(self, start, end, area):
+        """Return what comes in from `start` to `end` [s] in each cell of `area` [m2], in m/s."""
+        return np.zeros(len(self.rows))
 
     def deepest(self, start, end):
         """Return a depth [m] that the condition may bring about from `start` to `end` [s]."""
@@ -118,6 +124,10 @@ class Stage(Condition):
         """Return the depth [m] of the highest level from `start` to `end` [s]."""
         return max(self.level.most(start, end) - float(self.bed.min()), 0.0)
 
+    def comes_in(self, start, end, area):
+        """Return what came in over the last step [m/s]."""
+        return np.maximum(self._rises, 0.0)
+
     def change(self, depth, start, end, area):
         """Return the depths [m] at which the surface has the level of the time `end` [s]."""
         return np.maximum(self.level(end) - self.bed, 0.0)
@@ -149,6 +159,11 @@ class Discharge(Condition):
     def rate(self, start, end, area):
         """Return the largest discharge from `start` to `end` [s] over the cells' area [m/s]."""
         return max(self.given.most(start, end), 0.0) / (area * len(self.rows))
+
+    def comes_in(self, start, end, area):
+        """Return the mean discharge from `start` to `end` [s] over the cells' area [m/s]."""
+        mean = max(self.given.mean(start, end), 0.0)
+        return np.full(len(self.rows), mean / (area * len(self.rows)))
 
     def change(self, depth, start, end, area):
         """Return the depths [m] with what the discharge brings or takes."""
@@ -245,6 +260,16 @@ def longest_step(solver, dt):
     return dt
 
 
+def let_in(solver, start, end):
+    """Give what comes in from `start` to `end` [s] its speed at the walls, before the step."""
+    solver.flow.close_entries()
+    for condition in solver.conditions:
+        rise = condition.comes_in(start, end, solver.spacing**2)
+        condition.passes = solver.flow.let_in(
+            condition.edge, condition.rows, condition.columns, rise * solver.spacing
+        )
+
+
 def apply_conditions(solver, start, end, dry):
     """Change the edge cells' water as the conditions ask; return volumes that came and left [m3].
 
@@ -264,11 +289,14 @@ def apply_conditions(solver, start, end, dry):
         at = condition.at
         held = film[at].astype(np.float64)
         free = h[at].astype(np.float64) + remainder[at]
-        wanted = np.maximum(condition.change(held + free, start, end, area) - held, 0.0)
+        passed = condition.passes
+        before = held + free - passed  # what came in through the faces is part of the change
+        wanted = np.maximum(condition.change(before, start, end, area) - held, 0.0)
         h[at] = np.where(wanted >= dry, wanted, 0.0)
         remainder[at] = wanted - h[at]
         now = h[at].astype(np.float64) + remainder[at]
-        change = float((now - free).sum()) * area
+        rise = now - free + passed
+        change, condition._rises = float(rise.sum()) * area, rise / (end - start)
         condition.volume += change
         condition.flow = change / (end - start)
         came, left = came + max(change, 0.0), left + max(-change, 0.0)

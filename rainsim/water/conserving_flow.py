@@ -91,6 +91,7 @@ class ConservingFlow(StaggeredFlow):
         now, before = self.water, self._spare
         fill_depth(self.edge_is_open, now.h)
         fill_velocity(self.edge_is_open, self.bed, before.u, before.v, now.u, now.v)
+        self._set_entries()
 
     def refresh(self):
         """Measure the speeds that limit step and cap from depths and velocities."""
@@ -136,6 +137,7 @@ class ConservingFlow(StaggeredFlow):
             self._push(0.5 * dt, 0.5 * dt)
         if not self.moves:
             return 0.0
+        self._note_entries(dt / self._spacing, self.bed.dtype)
         left = sum(float(q.sum(dtype=np.float64)) for q in self._move(dt))
         return left * dt * self._spacing
 

@@ -64,6 +64,7 @@ class PaperFlow(StaggeredFlow):
             self._swap_velocity()  # pressure and friction read the velocity at n beside the new
             self.water.u[:], self.water.v[:] = 0, 0
             return 0.0
+        self._note_entries(float(k), np.float64)
         left = sum(self.leaving(edge) for edge in self.open_edges()) * self._spacing
         flow(before.h, before.u, before.v, k, self.dry, new.remainder, new.h, new.u, new.v)
         self.water, self._spare = new, before  # h at n+1; u carried, not yet pushed

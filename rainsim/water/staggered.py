@@ -7,6 +7,8 @@ import numpy as np
 from rainsim.water.bundles import StepNumbers, Water
 from rainsim.water.inputs import EDGES
 
+TINY = 1e-9  # m, keeps 0 / 0 out of dry cells into which nothing flows
+
 
 class StaggeredFlow:
     """Depth at cell centres and velocity at faces, in two copies: a step writes the other one.
@@ -49,6 +51,7 @@ class StaggeredFlow:
             for _ in range(2)
         )  # fmt: skip
         self.wave_speed = self.water_speed = 0.0
+        self._entries = []
 
     def faces(self):
         """Return the velocities of all faces, (ny, nx + 1) and (ny + 1, nx) [m/s]; views."""
@@ -77,6 +80,41 @@ class StaggeredFlow:
         """Return the flow that leaves through an edge over the width of a cell [m2/s]."""
         speed = self.outward(edge, self.water.u, self.water.v)
         return float((speed.astype(np.float64) * self.depth_at(edge)).sum())
+
+    def let_in(self, edge, rows, columns, flow):
+        """Give faces of a wall the speed at which `flow` [m2/s] comes in through them.
+
+        It is that of the depth in the cell, at most the critical one. From rest it would dam up.
+        Return the depths [m] by which the next `advance_depth` fills the cells so, an array.
+        """
+        deep = self.water.h[rows + self.pad, columns + self.pad].astype(np.float64)
+        critical = (flow**2 / self._gravity) ** (1 / 3)
+        speed = (flow / np.maximum(np.maximum(deep, critical), TINY)).astype(self.bed.dtype)
+        self._entries.append((edge, rows, columns, speed, np.zeros(len(rows))))
+        self._set_entries()
+        return self._entries[-1][-1]
+
+    def close_entries(self):
+        """Let nothing in any more; see `let_in`."""
+        self._entries.clear()
+
+    def _set_entries(self):
+        """Write the speed of what comes in to faces of the edge and to ghost faces behind them."""
+        for edge, rows, columns, speed, _ in self._entries:
+            is_across, is_first = edge in ("west", "east"), edge in ("west", "south")
+            w, along = (self.water.u, rows) if is_across else (self.water.v.T, columns)
+            for face in (self.pad, self.pad - 1) if self.pad else (0,):
+                last = face if is_first else w.shape[1] - 1 - face
+                w[along + self.pad, last] = speed if is_first else -speed
+
+    def _note_entries(self, k, dtype):
+        """Note the depths [m] that come in through faces, before the depth moves.
+
+        `k` [s/m] and the type of the flux are those with which it moves: the account is exact.
+        """
+        for _, rows, columns, speed, passed in self._entries:
+            deep = self.water.h[rows + self.pad, columns + self.pad].astype(dtype)
+            passed[:] = (speed.astype(dtype) * deep).astype(np.float64) * k
 
     def numbers(self, dt, pressure_time, cap):
         """Return the `StepNumbers` of a step of `dt` [s] with pressure over `pressure_time` [s]."""

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rainsim.bench import cases, chart, held_cases, hydraulic_cases, hydraulics, water
+from rainsim.bench import cases, chart, flood_cases, held_cases, hydraulic_cases, hydraulics, water
 from rainsim.jit import set_threads
 
-G = hydraulic_cases.GRAVITY
+G, SUITE = hydraulic_cases.GRAVITY, hydraulics.SUITE
 
 
 @pytest.fixture(autouse=True)
@@ -91,10 +91,11 @@ def test_the_flows_between_a_discharge_and_a_level_are_steady():
 
 @pytest.mark.parametrize(
     ("name", "cells", "bound"),
-    [("bump, jump", 50, 0.01), ("bump, tranquil", 50, 0.006), ("macdonald, tranquil", 50, 0.01)],
+    [("bump, jump", 50, 0.01), ("bump, tranquil", 50, 0.002), ("macdonald, tranquil", 50, 0.004)],
 )
 def test_a_discharge_and_a_level_hold_the_exact_flow(name, cells, bound):
     record = hydraulics.measure(name, cells, "accurate")
+    # From rest what comes in stands 0.14 m too high in MacDonald's first cell.
     assert record["error"] < bound and abs(record["residual"]) < 1e-9
 
 
@@ -172,6 +173,40 @@ def test_cells_without_an_exact_depth_do_not_count():
     assert cases.error_of(replace(case, exact=unknown), wrong) == 0
 
 
+def test_the_floods_have_their_published_numbers():
+    river = {name: SUITE[name][0](40).extra["conditions"]()[0] for name in ("EA 2, hollows",
+             "EA 4, plain")}  # fmt: skip
+    assert river["EA 4, plain"].given.mean(0, 18000) * 18000 == pytest.approx(285_000)
+    assert river["EA 2, hollows"].given.mean(0, 5100) * 5100 == pytest.approx(97_200)
+    case = flood_cases.hollows(80)
+    rows, columns = case.extra["gauges"]
+    for j, i in zip(rows, columns, strict=True):  # a hollow's gauge is its lowest cell
+        around = case.bed[j - 6 : j + 7, i - 6 : i + 7]
+        assert case.bed[j, i] < around.min() + 0.05 and around.max() > case.bed[j, i] + 0.4
+    assert case.bed[-6, 4] > case.bed[-6, -6] > case.bed[4, -6]  # the north-west is high
+    case = flood_cases.flume(716)
+    built = (case.bed > 2) & (case.x > 8)
+    assert built.sum() * case.spacing**2 == pytest.approx(0.8 * 0.4, rel=0.02)  # m2
+    assert not built[case.extra["gauges"]].any()
+    gate = case.bed[:, round(7.1 / case.spacing)] < 2
+    assert gate.sum() * case.spacing == pytest.approx(1.0, abs=0.11)
+    case = flood_cases.street(60)
+    assert (case.bed > 2).sum() * case.spacing**2 == pytest.approx(8 * 16 * 12)
+
+
+@pytest.mark.parametrize("method", ["accurate", "lean"])
+def test_a_flood_between_buildings_nears_the_refined_run(method):
+    coarse, fine = (hydraulics.measure("street", cells, method, fine=120) for cells in (30, 60))
+    assert fine["error"] < min(0.12, coarse["error"])
+    assert fine["flood"]["late"] < 0.04 and fine["flood"]["reached"] >= 4
+    assert abs(fine["residual"]) < 1e-7
+
+
+def test_test_4_of_the_agency_is_within_the_span_of_the_packages():
+    assert hydraulics.in_span(50, "accurate") == len(flood_cases.PUBLISHED_SPAN)
+    assert flood_cases.in_published_span(np.zeros((10, 50)), 20.0) < 2
+
+
 def test_an_order_is_found_from_its_errors():
     records = [{"case": "c", "scheme": "s", "cells": n, "error": 3 * n**-1.5} for n in (20, 80, 40)]
     assert hydraulics.orders(records) == {("c", "s"): pytest.approx(1.5)}
@@ -183,10 +218,17 @@ def test_a_quick_run_has_every_case(tmp_path):
     result = hydraulics.run(quick=True)
     assert {record["case"] for record in result["records"]} == set(hydraulics.SUITE)
     text = hydraulics.table(result)
-    for part in ("| bump | 70 |", "| order |", "| catchment |", "| sill at an open edge |"):
+    for part in (
+        "| bump | 70 |",
+        "| order |",
+        "| catchment |",
+        "| sill at an open edge, and EA 4 |",
+        "| street | 30 |",
+    ):
         assert part in text
     assert water.line(result["records"][0]).startswith("stoker")
     assert result["sill"]["lean"]["leaves"] > 0.999
     chart.require_matplotlib()
     hydraulics.draw(result, tmp_path / "c.png")
-    assert (tmp_path / "c.png").stat().st_size > 10_000
+    for name in ("c.png", "c-orders.png"):
+        assert (tmp_path / name).stat().st_size > 10_000

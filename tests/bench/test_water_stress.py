@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +31,8 @@ def test_where_methods_fail(make, scheme, dtype):
     record = stress.endure(trial, scheme, 0.3, dtype)
     require_hold(record, 0.1 * trial.depth.max())
     if scheme == "accurate":
-        assert record["drift"] < 1e-10  # float32 too: what a depth cannot hold is kept
+        # float32 too: what a depth cannot hold is kept beside it, itself rounded in thin films
+        assert record["drift"] < (1e-9 if make is stress.thin_film else 1e-10)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -81,6 +83,42 @@ def test_full_size(scheme, dtype):
         require_hold(stress.endure(trial, scheme, 3.0, dtype), 0.1 * trial.depth.max())
     for courant in (0.3, 0.5, 0.7):
         require_hold(stress.endure(stress.dam(64), scheme, 3.0, dtype, courant), 0.05)
+
+
+@pytest.mark.parametrize("scheme", ["accurate", "lean"])
+@pytest.mark.parametrize("seed", range(10))
+def test_the_account_holds_on_ten_terrains(seed, scheme):
+    require_hold(stress.endure(stress.terrain(32, seed), scheme, 0.5), 0.01)
+
+
+def test_what_the_solver_refuses_fails_where_it_is_forced_and_leaks_are_seen():
+    trial = stress.dam(24)
+    record = stress.endure(trial, "accurate", courant=2.0, forced=True)
+    assert record["outcome"] != "holds" and record["steps"] > 10
+    trial = stress.walls(24)
+    wall = trial.bed > 2
+    gap = np.where(wall & (np.cumsum(wall, axis=1) == 1) & (np.arange(24)[:, None] == 12), 0, 1)
+    record = stress.endure(replace(trial, bed=trial.bed * gap), "lean", 1.0)
+    assert record["outcome"] == "leaks"
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_ground_and_rain_without_numbers_are_refused(scheme):
+    bed, rain = np.zeros((4, 4)), np.zeros((4, 4))
+    rain[1, 2] = bed[3, 3] = np.nan
+    with pytest.raises(ParameterError, match=r"bed is nan at row 3, column 3.*fill the holes"):
+        WaterSolver(bed, 1.0, scheme=scheme)
+    solver = WaterSolver(0 * rain[:1].repeat(4, 0), 1.0, scheme=scheme)
+    with pytest.raises(ParameterError, match="rain is nan"):
+        solver.advance(1.0, rain=rain)
+    assert solver.ledger.rain == 0 and np.isfinite(solver.depth).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["accurate", "lean", "paper"])
+def test_the_account_of_a_million_steps_in_float32(scheme):
+    trial = stress.bumps(64)
+    require_hold(stress.endure_rain(trial, scheme, 1_000_000), 0.01)
 
 
 @pytest.mark.slow

@@ -5,8 +5,10 @@ import pytest
 
 from rainsim.cuda import simulated
 from rainsim.cuda.grid import Water
+from rainsim.cuda.solver import GpuWaterSolver
 from rainsim.errors import ParameterError
 from rainsim.grid import WaterSolver
+from rainsim.water.series import Series
 
 assert simulated()
 N = 16
@@ -73,6 +75,20 @@ def test_water_leaves_over_a_higher_last_cell_as_on_the_cpu(edge):
                    "south": (v[1], v[0]), "north": (v[-2], v[-1])}[edge]  # fmt: skip
     assert (np.abs(out) > 1.01 * np.abs(inside)).all()
     assert water.ledger().outflow == pytest.approx(step.ledger.outflow, rel=1e-6)
+
+
+def test_the_solver_alone_takes_a_series_of_rain_as_on_the_cpu():
+    solver, _ = basin()
+    gpu, times = GpuWaterSolver(solver, capacity=3), []
+    rain = Series([0, 0.02], [2e-5, 0.0], holds=True)
+    steps = gpu.advance(1 / 30, rain, times.append)
+    assert steps == solver.advance(1 / 30, rain).substeps and times == [0.02, gpu.time]
+    np.testing.assert_allclose(gpu.depth, solver.depth, atol=1e-7)
+    assert gpu.ledger.rain == pytest.approx(solver.ledger.rain, rel=1e-6) and gpu.time == 1 / 30
+    gpu.advance(1.0, rain, lambda time: False)
+    assert gpu.time == 1 / 30 + 1.0  # no change of the rain lies before
+    with pytest.raises(ParameterError, match=r"rain is a map.*exposure"):
+        gpu.advance(0.01, np.zeros(solver.shape))
 
 
 def test_drains_take_what_they_do_on_the_cpu():

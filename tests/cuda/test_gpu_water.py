@@ -56,7 +56,7 @@ def test_a_hundred_frames_are_those_of_the_cpu():
 
 
 def test_ten_frames_with_sills_are_those_of_the_cpu():
-    """Still water over a sill is unstable: a rounding grows tenfold in ten frames, then drains."""
+    """The pond stands above its sills: disturbed by drops it drains, and roundings grow with it."""
     solver, water, before = run(10, sills=True)
     depth = water.fields()[0]
     assert np.abs(depth - before).max() > 1e-4

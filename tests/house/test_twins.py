@@ -16,6 +16,7 @@ CUDA_ONLY = {
     "render/lanes.py",  # streams, and which of them waits for which
     "splatting/sort.py",  # the sort of all tiles' entries at once
     "scalars.py",  # sums and lists over a grid of threads
+    "solver.py",  # the water alone, for which the CPU has `rainsim/grid.py` itself
     "timing.py",  # events
     "warp.py",  # instructions of a warp
     "water/account.py",  # the ledger and times, which are numbers of the solver on the CPU

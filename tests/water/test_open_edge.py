@@ -66,6 +66,22 @@ def test_a_lake_at_rest_at_a_rough_open_edge_stays(scheme, dtype):
     np.testing.assert_array_equal(solver.depth, before)
 
 
+@pytest.mark.parametrize(("sill", "leaves"), [(0.04, False), (0.02, True)])
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_disturbed_lake_leaves_only_over_sills_that_are_lower(scheme, sill, leaves):
+    rng = np.random.default_rng(1)
+    bed = 0.002 * rng.random((32, 32))
+    bed[[0, -1]] += sill
+    bed[1:-1, [0, -1]] += sill
+    solver = WaterSolver(bed, 0.05, scheme=scheme, boundary="open", manning=0.015)
+    solver.set_state(np.maximum(0.03 - bed, 0))
+    for _ in range(100):
+        solver.deposit(*rng.integers(1, 31, (2, 30)), 2e-8 * rng.random(30))
+        solver.advance(0.1)
+    assert (solver.ledger.outflow > 0.05 * solver.ledger.initial) == leaves
+    assert solver.ledger.outflow == 0 or leaves
+
+
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_rain_on_rough_ground_leaves_and_the_ledger_closes(scheme):
     solver, _ = channel("south", scheme, noise=0.02)
