@@ -47,7 +47,7 @@ class Renderer:
         _require_known(config.render)
         require_whole(scene, "backend cuda", "take backend cpu")
         self.stream, self._ahead = cuda.stream(), cuda.stream()
-        self._room = -(-sum(len(actor.splats) for actor in scene.actors) // LANES)
+        self._room = sum(-(-len(actor.splats) // LANES) for actor in scene.actors)
         self.conductor = Conductor(scene, terrain, config, first_camera, self._rasterizer_of)
         self.frame = DeviceFrame(self.conductor, self.stream)
         self.queue = FrameQueue(self.frame)
