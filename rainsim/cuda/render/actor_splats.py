@@ -54,3 +54,6 @@ class MovingActors:
                 self._parcels.of,
             )  # fmt: skip
             self.spray.send(*seen, conductor.ground_camera)
+        # The next frame's, if it follows, while the device draws this one.
+        fps = conductor.config.fps
+        conductor.look_ahead((round(state.time * fps) + 1) / fps)
