@@ -10,7 +10,7 @@ from rainsim import simulation
 from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import Config
 from rainsim.cuda import simulated
-from rainsim.cuda.rain.moving_surfaces import MovingHeights
+from rainsim.cuda.rain.moving_surfaces import MovingHeights, joined_rows
 from rainsim.cuda.render import renderer as twin
 from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.pipeline import FrameSequence, extract_terrain, simulate
@@ -68,6 +68,11 @@ def test_the_map_follows_what_moves_over_it(terrain):
     assert (shown[0] != shown[1]).any() and (shown[1] != shown[2]).any()
     heights.send(moving.still, [])
     np.testing.assert_array_equal(heights.fields.top.copy_to_host(), terrain.top)
+
+
+def test_rows_that_overlap_are_sent_once():
+    parts = [slice(8, 12), slice(0, 3), slice(2, 5), slice(11, 14), slice(9, 10), slice(5, 6)]
+    assert joined_rows(parts) == [slice(0, 6), slice(8, 14)]
 
 
 def test_frames_and_labels_are_those_of_the_cpu(scene, terrain, monkeypatch):

@@ -12,7 +12,7 @@ import numpy as np
 
 from rainsim.cuda.driver import fetch, send, to_device
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
-from rainsim.cuda.rain.moving_surfaces import MovingHeights
+from rainsim.cuda.rain.moving_surfaces import MovingHeights, joined_rows
 from rainsim.cuda.water.step_control import DRAINED, DROPPED, PARITY, UNIT
 from rainsim.io.states import NO_IDS, NO_THROWS, NO_TRACKS
 from rainsim.jit import may_run_beside
@@ -245,7 +245,7 @@ class Traffic:
             self._opened = self._moving.thinned(self._exposure, self._middle)
             rows = [part[0] for part, _ in self._moving.moment(self._middle)[1]]
             if rows or self._rows:
-                self._water.let_through(self._opened, [*self._rows, *rows])
+                self._water.let_through(self._opened, joined_rows([*self._rows, *rows]))
             self._rows = rows
         return self._opened
 
