@@ -94,6 +94,10 @@ class Rasterizer:
         """Take over the same splats with other actors before them, see `merged.Merger`."""
         self.prepared = merged
 
+    def pose_actors(self, actors):
+        """Put the actors of an `ActorSplats` before the static set, where they are now."""
+        self.put_actors(actors.merged())
+
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,
         background=(0, 0, 0), hit=False, drop_last=False, leading=False, detail=0.0,

@@ -101,10 +101,12 @@ class Footprint:
 
         That of the last time is kept: a frame asks for it twice.
         """
-        if (grid, time) not in self._found:
+        found = self._found.get((grid, time), self)
+        if found is self:  # another thread may ask for another time
+            found = self._shadow(grid, time)
             self._found.clear()
-            self._found[grid, time] = self._shadow(grid, time)
-        return self._found[grid, time]
+            self._found[grid, time] = found
+        return found
 
     @cached_property
     def _found(self):

@@ -209,9 +209,9 @@ class Rasterizer:
     ----------
     room : EntryRoom
     recolors : bool
-        Whether `recolor` and `put_actors` send what they take over.
-    actors : PreparedSplats or None
-        The merged set of `put_actors`.
+        Whether `recolor` and `pose_actors` send what they take over.
+    actors : ActorSplats or None
+        Those of `pose_actors`.
     chosen : ndarray of int64 or None
         Of a `DeviceRoom` the chunks that are drawn, see `choose`.
     """
@@ -258,17 +258,18 @@ class Rasterizer:
             self.splats.send_colors(prepared)
 
     def put_actors(self, merged):
-        """Put other actors before the static set, see `DeviceSplats.put_actors`.
+        """Put other actors before the static set, see `DeviceSplats.put_actors`."""
+        self.splats.put_actors(merged)
 
-        A `DeviceFrame` sends them when the device is idle: until then they wait in `actors`.
-        """
-        self.actors = merged
+    def pose_actors(self, actors):
+        """Put actors where they are, unless a `DeviceFrame` does when the device is idle."""
+        self.actors = actors
         if self.recolors:
             self.send_actors()
 
     def send_actors(self):
-        """Send the actors that wait; the device must draw nothing meanwhile."""
-        self.splats.put_actors(self.actors)
+        """Pose the actors that wait; the device must draw nothing meanwhile."""
+        self.splats.pose_actors(self.actors)
 
     def choose(self, chunks):
         """Draw some chunks of a `DeviceRoom` from now on; the device must be idle meanwhile."""

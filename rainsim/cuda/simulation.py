@@ -259,8 +259,8 @@ class Simulation:
             return
         if self._traffic is not None:
             self.impacts.listed.synchronize()
-            before, after = self._interval(index + 1)
-            self._traffic.cover(0.5 * (before + after))
+            middles = (0.5 * sum(self._interval(index + n)) for n in (1, 2))
+            self._traffic.cover(*middles)
         self.impacts.list_beside()
 
     def complete(self):

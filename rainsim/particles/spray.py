@@ -47,8 +47,32 @@ UNEVEN = 0.15  # of the velocity: deviation from drop to drop of a parcel; an as
 THINNEST = 2e-4  # optical depth of a puff's middle; what is less shows in no picture
 ROWS = 8  # of a picture that a thread takes at a time
 CUT = 3.0  # deviations at which a puff ends: 1 % of its mass lies beyond along a line of sight
+FIRST_WORD = 32  # of the random words of a parcel that its drops have
 _LOGISTIC = np.float32(1.702)  # the normal distribution as a logistic one, to 0.01
 _PER_TWO_PI = np.float32(0.5 / math.pi)
+
+
+class Flocks(NamedTuple):
+    """Drops of parcels that are drawn one by one, each parcel's scattered around its middle.
+
+    Attributes
+    ----------
+    place, velocity : ndarray of shape (n, 3), float64 [m], [m/s]
+    spread : ndarray of shape (n,), float64 [m]
+        Deviation of the drops' places.
+    diameter, road : ndarray of shape (n,), float64 [m]
+        Drops lower than `road` are not drawn.
+    id : ndarray of shape (n,), uint64
+    count : ndarray of shape (n,), int64
+    """
+
+    place: np.ndarray
+    velocity: np.ndarray
+    spread: np.ndarray
+    diameter: np.ndarray
+    road: np.ndarray
+    id: np.ndarray
+    count: np.ndarray
 
 
 def spray_seen(throws, ids, camera, time, exposure):
@@ -68,8 +92,14 @@ def spray_seen(throws, ids, camera, time, exposure):
         Drops, the columns of `streaks.Line`.
     puffs : Puffs
     """
+    flocks, puffs = flocks_seen(throws, ids, camera, time, exposure)
+    return NO_LINES if flocks is None else scattered(flocks), puffs
+
+
+def flocks_seen(throws, ids, camera, time, exposure, parcels_of=parcels_of):
+    """Return what `spray_seen` does, but the `Flocks` of the drops; None without throws."""
     if not len(throws):
-        return NO_LINES, NO_PUFFS
+        return None, NO_PUFFS
     recent = (column(throws, "end") > time - FLIGHT) & (column(throws, "begin") <= time)
     parcels = parcels_of(throws[recent], ids[recent])
     parcels = parcels.take((parcels.begin <= time) & (parcels.begin > time - FLIGHT))
@@ -84,14 +114,15 @@ def spray_seen(throws, ids, camera, time, exposure):
     )  # fmt: skip
     number = parcels.volume / (math.pi / 6 * parcels.diameter**3)
     drawn = _drawn(camera, parcels.diameter, place, velocity, exposure, number)
-    lines = _lines(parcels, place, velocity, spread, drawn)
+    flocks = Flocks(place, velocity, spread, parcels.diameter, parcels.road, parcels.id,
+                    drawn.astype(np.int64))  # fmt: skip
     left = cross_section(parcels.volume, parcels.diameter) * (1 - drawn / number)
     mist = mist_puffs(throws, time)
     puffs = Puffs(*(np.concatenate(both) for both in zip(
         Puffs(place, spread, left), mist, strict=True)))  # fmt: skip
     thick = puffs.section / (2 * math.pi * puffs.deviation**2) > THINNEST
     thick &= _in_view(camera, puffs.place, CUT * puffs.deviation)
-    return lines, Puffs(*(part[thick] for part in puffs))
+    return flocks, Puffs(*(part[thick] for part in puffs))
 
 
 def _in_view(camera, place, radius):
@@ -113,12 +144,12 @@ def _drawn(camera, diameter, place, velocity, exposure, number):
     return np.floor(drawn * min(1.0, MOST_DRAWN / max(drawn.sum(), 1.0)))
 
 
-def _lines(parcels, place, velocity, spread, drawn):
-    """Return the drops of parcels that are drawn, (n, 7)."""
-    count = drawn.astype(np.int64)
+def scattered(flocks):
+    """Return the drops of `Flocks`, (n, 7)."""
+    place, velocity, spread, diameter, road, ids, count = flocks
     which = np.repeat(np.arange(len(count)), count)
     within = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
-    words = subkey(parcels.id[which], within + 32)
+    words = subkey(ids[which], within + FIRST_WORD)
     a, b, c = uniform_triple(words)
     d, e, f = uniform_triple(subkey(words, 1))
     # Box and Muller: two normal numbers of two even ones.
@@ -129,8 +160,8 @@ def _lines(parcels, place, velocity, spread, drawn):
     at = place[which] + spread[which, None] * np.column_stack(normal[:3])
     speed = np.linalg.norm(velocity, axis=1)[which, None]
     moves = velocity[which] + UNEVEN * speed * np.column_stack(normal[3:])
-    lines = np.column_stack([at, moves, parcels.diameter[which]])
-    return lines[at[:, 2] > parcels.road[which]]
+    lines = np.column_stack([at, moves, diameter[which]])
+    return lines[at[:, 2] > road[which]]
 
 
 def lay_clouds(puffs, camera, depth, alpha_out):

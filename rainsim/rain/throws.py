@@ -214,6 +214,29 @@ def parcels_of(table, ids):
     )
 
 
+class KnownParcels:
+    """The parcels of a table of throws that grows at its end and shrinks at its begin."""
+
+    def __init__(self):
+        self._ids, self._parcels = np.zeros(0, np.uint64), None
+
+    def of(self, table, ids):
+        """Return `parcels_of(table, ids)`; only those of new rows are computed."""
+        known = self._parcels
+        first = int(np.argmax(self._ids == ids[0])) if len(ids) and len(self._ids) else 0
+        old = self._ids[first:]
+        count = len(old)
+        if not count or not np.array_equal(old, ids[:count]):
+            known = parcels_of(table, ids)
+        else:
+            kept = known.take(known.row >= first)
+            new = parcels_of(table[count:], ids[count:])
+            kept, new = kept._replace(row=kept.row - first), new._replace(row=new.row + count)
+            known = Parcels(*(np.concatenate(both) for both in zip(kept, new, strict=True)))
+        self._ids, self._parcels = ids, known
+        return known
+
+
 def _leaving(table, way, speed, sense, angle, aside, quick, across):
     """Return how parcels leave the tyre, by random numbers of 0 to 1.
 

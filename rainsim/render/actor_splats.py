@@ -24,8 +24,8 @@ class ActorSplats:
     ----------
     poses : list of Pose or None
         Of each actor at the present time; None while it is not there. Empty before the first time.
-    splats : Splats or None
-        Of those that are there, in the capture frame.
+    rigid : bool
+        Whether none has colours that change over time.
     placed : float [s] or None
         The time for which they were put there: they may stand still since.
     static : PreparedSplats
@@ -38,7 +38,8 @@ class ActorSplats:
         self.actors, self.time, self.placed, self.poses = actors, None, None, []
         self._most = sum(len(actor.splats) for actor in actors)
         self._merger, self._standing = Merger(static, self._most), None
-        self.static, self.splats, self.first = self._merger.static, None, len(static)
+        self.static, self.first = self._merger.static, len(static)
+        self.rigid, self._splats = all(actor.series is None for actor in actors), None
         self._ends = np.zeros(len(actors) + 1, np.int64)
 
     def set_time(self, time):
@@ -51,14 +52,19 @@ class ActorSplats:
         changing = any(a.series is not None and p for a, p in zip(self.actors, poses, strict=False))
         if same and not changing:
             return False
-        self.poses, self.splats, self.placed = poses, None, time
-        there = [(a, p) for a, p in zip(self.actors, poses, strict=False) if p is not None]
-        if there:
-            self.splats = joined(actor.placed(pose, time) for actor, pose in there)
+        self.poses, self._splats, self.placed = poses, None, time
         counts = [0 if p is None else len(a.splats)
                   for a, p in zip(self.actors, poses, strict=False)]  # fmt: skip
         self._ends = np.cumsum([0, *counts])
         return True
+
+    @property
+    def splats(self):
+        """The `Splats` of those that are there, in the capture frame; None of none."""
+        there = [(a, p) for a, p in zip(self.actors, self.poses, strict=False) if p is not None]
+        if self._splats is None and there:
+            self._splats = joined(actor.placed(pose, self.placed) for actor, pose in there)
+        return self._splats
 
     def recolor(self, static):
         """Take over other colours of the static set, see `prepared.recolored`."""

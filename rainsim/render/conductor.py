@@ -13,9 +13,10 @@ import numpy as np
 from rainsim.actors.footprint import with_footprints
 from rainsim.drops import Weather
 from rainsim.io.states import NO_TRACKS
+from rainsim.jit import may_run_beside
 from rainsim.particles import drop_radiance
 from rainsim.particles.splash import LONGEST_LIFE
-from rainsim.rain.moving_surfaces import MovingSurfaces
+from rainsim.rain.moving_surfaces import AHEAD, MovingSurfaces
 from rainsim.raster import Rasterizer
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.water_pass import WaterTables
@@ -105,6 +106,7 @@ class Conductor:
 
     def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
         self.frame, self._set_up = Frame((*PASSES, *LAYER_PASSES)), Frame(SET_UP)
+        self._coming = None, None, None
         terrain = with_footprints(tops_drawn(terrain, config), scene)
         self._first_camera = fixed_camera(scene, terrain, config) or first_camera
         self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
@@ -184,10 +186,25 @@ class Conductor:
         if not ground.terrain.footprints:
             return ground.moving.still, ground.rings
         surfaces, shelters = ground.moving.moment(time)
-        return surfaces, sheltered_rings(
+        if self._coming[0] == time and self._coming[1] is ground:
+            return surfaces, self._coming[2].result()
+        return surfaces, self._rings(ground, shelters)
+
+    def _rings(self, ground, shelters):
+        """Return the amplitude of rings on each cell of a part of the ground with shelters."""
+        return sheltered_rings(
             ground.rings, self.wet_scene.ground.reach, shelters, ground.terrain.grid.spacing,
             self._ring_reach,
         )  # fmt: skip
+
+    def look_ahead(self, time):
+        """Begin to find where things are at a time [s], and their rings, on other threads."""
+        if not may_run_beside():
+            return
+        ground = self.ground
+        moment = ground.moving.look_ahead(time)
+        rings = AHEAD.submit(lambda: self._rings(ground, moment.result()[1]))
+        self._coming = time, ground, rings
 
     def set_time(self, time):
         """Take over the settings and the places of what moves of a time [s]."""

@@ -132,7 +132,7 @@ class DrawnCapture:
     def _put_actors(self):
         """Put the actors as they are now before the static set."""
         if self.paged is None:
-            self.rasterizer.put_actors(self.actors.merged())
+            self.rasterizer.pose_actors(self.actors)
         else:
             self.paged.put_actors(self.actors, self.frame)
 

@@ -59,14 +59,19 @@ def turned(sh, rotation):
     out = sh.copy()
     if sh.shape[1] == 1:
         return out
+    found = mixings(rotation, round(sh.shape[1] ** 0.5))
+    for band, mixing in zip(BANDS[1:], found[1:], strict=False):
+        out[:, band] = np.einsum("ij,njc->nic", mixing, sh[:, band])
+    return out
+
+
+def mixings(rotation, degrees):
+    """Return the matrices by which a rotation mixes the functions of so many degrees, float32."""
     directions = _even_directions()
     after, before = basis(directions), basis(directions @ np.asarray(rotation, np.float64))
-    for band in BANDS[1:]:
-        if band.stop > sh.shape[1]:
-            break
-        mixing = np.linalg.lstsq(after[:, band], before[:, band], rcond=None)[0]
-        out[:, band] = np.einsum("ij,njc->nic", mixing.astype(np.float32), sh[:, band])
-    return out
+    found = [np.linalg.lstsq(after[:, band], before[:, band], rcond=None)[0]
+             for band in BANDS[1:degrees]]  # fmt: skip
+    return [np.eye(1, dtype=np.float32), *(each.astype(np.float32) for each in found)]
 
 
 def padded(sh, coefficients):

@@ -97,8 +97,17 @@ def standing(prepared, terrain, frame):
     inside = (column >= 0) & (row >= 0) & (column < nx) & (row < ny)
     column, row = (np.where(inside, a, 0).astype(np.int64) for a in (column, row))
     least = np.where(inside, terrain.bed[row, column] + STANDING, STANDING_OUTSIDE)
-    coarse = replace(prepared, fine=prepared.fine[:, :0], step=prepared.step[:, :0])
-    return select(coarse, (place[:, 2] > least) & prepared.is_leading)
+    return select(_coarse(prepared), (place[:, 2] > least) & prepared.is_leading)
+
+
+def _coarse(prepared):
+    """Return prepared splats with harmonics to degree 1."""
+    return replace(prepared, fine=prepared.fine[:, :0], step=prepared.step[:, :0])
+
+
+def as_in_level_picture(prepared, frame):
+    """Return splats as `in_level_picture` does, those that do not stand on the ground as well."""
+    return merge_fine(_coarse(prepared), FINE / frame.meters_per_unit)
 
 
 def in_level_picture(prepared, terrain, frame):

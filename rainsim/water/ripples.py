@@ -8,12 +8,14 @@ shading. It lies over the flow and does not act on it.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
 
 from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY, WATER_VISCOSITY
 from rainsim.errors import ParameterError, require_not_negative, require_positive
+from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.random import mix
 from rainsim.rain.size_distribution import drop_volume, terminal_speed
 
@@ -29,6 +31,7 @@ BLOCKS_AROUND = 6  # by which rings are followed across the map, see `block_reac
 USUAL_CHORD = 0.5  # m, of a captured patio's puddles: their rings are drawn as the tile has them
 _LONGEST_STEP = 1 / 60  # s; impacts of one such step are born together, its end
 ROWS = 64  # of a spectrum that are worked on at once
+MOST_KEPT = 1 << 19  # cells of a map whose factors of the spectrum are kept
 
 
 def angular_frequency(wavenumber, depth):
@@ -328,19 +331,29 @@ def ring_share(rained, spacing, reach, weight):
     padded = np.pad(np.asarray(rained, np.float32), margin, mode="edge")
     shape, spectrum = padded.shape, scipy.fft.rfft2(padded)
     del padded  # maps of millions of cells are let go as soon as they may
-    qy = 2 * np.pi * scipy.fft.fftfreq(shape[0], spacing)
-    qx = 2 * np.pi * scipy.fft.rfftfreq(shape[1], spacing)[None]
-    lengths, shares = reach.astype(np.float32), weight.astype(np.float32)
-    for first in range(0, len(qy), ROWS):
-        rows = slice(first, first + ROWS)
-        square = (qx**2 + qy[rows, None] ** 2).astype(np.float32)
-        carried = np.zeros_like(square)
-        for length, share in zip(lengths, shares, strict=True):
-            carried += share / np.sqrt(1 + length**2 * square)
-        spectrum[rows] *= carried
+    lengths, shares = (tuple(a.astype(np.float32)) for a in (reach, weight))
+    found = _carried if shape[0] * shape[1] > MOST_KEPT else _kept_carried
+    for first in range(0, shape[0], ROWS):
+        rows = first, min(first + ROWS, shape[0])
+        spectrum[slice(*rows)] *= found(shape, rows, spacing, lengths, shares)
     energy = scipy.fft.irfft2(spectrum, s=shape, overwrite_x=True)
     energy = energy[margin:-margin, margin:-margin]
     return np.sqrt(np.clip(energy, 0.0, 1.0)).astype(np.float32, copy=False)
+
+
+def _carried(shape, rows, spacing, lengths, shares):
+    """Return the factors of rows, first and end, of the spectrum of a shape, see `ring_share`."""
+    qy = 2 * np.pi * scipy.fft.fftfreq(shape[0], spacing)[slice(*rows)]
+    qx = 2 * np.pi * scipy.fft.rfftfreq(shape[1], spacing)[None]
+    square = (qx**2 + qy[:, None] ** 2).astype(np.float32)
+    carried = np.zeros_like(square)
+    for length, share in zip(lengths, shares, strict=True):
+        carried += share / np.sqrt(1 + length**2 * square)
+    return carried
+
+
+# What moves shelters parts of a few shapes, again and again.
+_kept_carried = lru_cache(128)(_carried)
 
 
 def taller_rings(rings, height, sheltered):
@@ -416,9 +429,16 @@ def sheltered_rings(rings, rained, shelters, spacing, reach):
     if not shelters:
         return rings
     rings = rings.copy()
-    for part, let_through in shelters:
-        before = ring_share(rained[part], spacing, *reach)
-        after = ring_share(rained[part] * let_through, spacing, *reach)
+    shares = [rained[part] for part, _ in shelters]
+    shares += [rained[part] * let_through for part, let_through in shelters]
+    found = [None] * len(shares)
+
+    def work(part):
+        found[part.start] = ring_share(shares[part.start], spacing, *reach)
+
+    in_blocks(work, len(shares), 1)
+    both = found[: len(shelters)], found[len(shelters) :]
+    for (part, _), before, after in zip(shelters, *both, strict=True):
         rings[part] *= np.clip(after / np.maximum(before, np.float32(1e-6)), 0, 1)
     return rings
 

@@ -216,6 +216,23 @@ def test_no_drop_lands_under_a_moving_box_and_water_keeps_its_account(scene, gro
     assert hit == 0 and on_top > 3
 
 
+def test_what_was_found_ahead_is_what_is_found_at_the_time(scene, ground, states):
+    """The map that drops meet, shelters and rings; also after a time that was not looked for."""
+    camera = scene.cameras[0]
+    direct, ahead = (Renderer(scene, ground, CONFIG, camera).conductor for _ in range(2))
+    for index, coming in ((0, 1), (1, 3), (2, 3), (3, None)):
+        found = []
+        for conductor in (direct, ahead):
+            conductor.take(camera, states[index])
+            surfaces, shelters = conductor.ground.moving.moment(states[index].time)
+            found.append((conductor.frame["rings"], surfaces.top, shelters[0][1]))
+        for mine, wanted in zip(*found, strict=True):
+            np.testing.assert_array_equal(mine, wanted)
+        if coming is not None:
+            ahead.look_ahead(states[coming].time)
+    assert not np.array_equal(found[0][0], direct.ground.rings)
+
+
 def test_a_shelter_moves_with_its_actor_and_leaves_what_is_beside_it(scene, ground):
     moving = MovingSurfaces(ground)
     share = np.ones(ground.grid.shape, np.float32)

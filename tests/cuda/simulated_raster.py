@@ -4,13 +4,17 @@ import inspect
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rainsim import raster
+from rainsim.actors.actor import Actor
+from rainsim.actors.motion import Track
 from rainsim.cuda import raster as twin
 from rainsim.cuda import simulated
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.splatting import prepared as on_device
 from rainsim.cuda.splatting.prepared import ROW, DeviceSplats
+from rainsim.render.actor_splats import ActorSplats
 from rainsim.scene.types import Camera, Splats
 from rainsim.splatting.detail import Detail
 from rainsim.splatting.merged import Merger
@@ -127,6 +131,29 @@ def test_actors_before_a_static_set_are_those_of_the_cpu():
         assert (found.hit >= len(still)).any() == (count > 0)
         assert (decibel(wanted.color, alone.color) > 80) == (count == 0)
     np.testing.assert_array_equal(drawer.splats.geometry.copy_to_host()[2 * ROW :], static)
+
+
+@pytest.mark.parametrize("bands", [1, 4, 9])
+def test_actors_are_posed_on_the_device_as_on_the_cpu(bands):
+    """Two that turn, the harmonics of one as well; one is away at times, then none is there."""
+    still = raster.prepare(cloud(20, bands=bands))
+    turns = Rotation.from_rotvec([[0.0, 0.0, 0.0], [0.5, -1.0, 0.8]]).as_quat(scalar_first=True)
+    actors = [
+        Actor(str(k), "car", cloud(count, seed=k + 4, bands=bands), np.zeros((2, 3)), Track(
+            np.array([0.0, 1.0]), np.array([[0.0, 0.0, 0.0], [0.3, 0.1, -0.2]]), turns,
+            np.array([k == 0, True])), turning=k == 0)
+        for k, count in enumerate((70, 290))
+    ]  # fmt: skip
+    drawer, wanted = twin.Rasterizer(DeviceSplats(still, 3)), raster.Rasterizer(still)
+    moving = ActorSplats(actors, still)
+    for time in (1.0, 0.4, None):
+        moving.set_time(time)
+        for each in (drawer, wanted):
+            each.pose_actors(moving)
+        found, theirs = (each.draw(camera(), 0.2, hit=True) for each in (drawer, wanted))
+        assert_alike(found, theirs)
+        assert (found.hit == theirs.hit).mean() > 0.99
+        assert moving.numbers(theirs.hit).max() == (0 if time is None else 2 if time == 1 else 1)
 
 
 def test_the_training_codes_stop():

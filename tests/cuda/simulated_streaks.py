@@ -9,7 +9,7 @@ from rainsim.cuda.particles.streaks import Streaks
 from rainsim.drops import RainField, RainSpectrum, Surfaces
 from rainsim.errors import ParameterError
 from rainsim.particles.line_raster import NEAR
-from rainsim.particles.spray import lay_clouds
+from rainsim.particles.spray import Flocks, lay_clouds, scattered
 from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.throws import Puffs
 from rainsim.scene.types import Camera
@@ -68,8 +68,14 @@ def test_spray_is_that_of_the_cpu(monkeypatch, poisoned):
     depth = np.full((HEIGHT, WIDTH), np.inf, np.float32)
     depth[:, :12] = 2.0
     rng = np.random.default_rng(2)
-    place = rng.uniform((0.4, -0.1, -0.05), (4.0, 0.1, 0.05), (30, 3))
-    drops = np.column_stack([place, np.zeros((30, 2)), np.full(30, -3.0), np.full(30, 2e-3)])
+    place = rng.uniform((0.4, -0.05, -0.05), (3.0, 0.05, 0.05), (16, 3))
+    velocity = np.tile((0.3, 0.2, -3.0), (16, 1))
+    flocks = Flocks(
+        place, velocity, np.full(16, 0.02), np.full(16, 2e-3), np.full(16, -0.03),
+        rng.integers(0, 2**63, 16).astype(np.uint64), np.arange(16) % 4,
+    )  # fmt: skip
+    drops = scattered(flocks)
+    assert 5 < len(drops) < flocks.count.sum()  # some are in the road
     puffs = Puffs(rng.uniform((0.1, -0.2, -0.1), (3.0, 0.2, 0.1), (9, 3)),
                   rng.uniform(0.02, 0.3, 9), np.full(9, 2e-3))  # fmt: skip
     none, wanted = RainField(RainSpectrum(0.0)), poisoned((HEIGHT, WIDTH))
@@ -83,10 +89,10 @@ def test_spray_is_that_of_the_cpu(monkeypatch, poisoned):
     assert twin.spray.room == 2
     twin.update(none, camera, time, exposure, NEAR)
     for _ in range(2):
-        twin.spray.send(drops, puffs, camera)
+        twin.spray.send(flocks, puffs, camera)
         twin.launch()
         np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=2e-4)
-    twin.spray.send(drops[:0], Puffs(*(part[:0] for part in puffs)), camera)
+    twin.spray.send(None, Puffs(*(part[:0] for part in puffs)), camera)
     twin.launch()
     assert (twin.alpha.copy_to_host() == 0).all()
 

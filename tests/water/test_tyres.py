@@ -26,6 +26,7 @@ from rainsim.rain.throws import (
     FLIGHT,
     SIDE,
     TREAD,
+    KnownParcels,
     Puffs,
     column,
     cross_section,
@@ -293,6 +294,18 @@ def test_states_keep_what_is_in_the_air(states, ground, tmp_path):
     write_state(tmp_path / "u.npz", replace(states[-1], tracks=states[-1].tracks[1:]))
     with pytest.raises(InputError, match="tracks"):
         read_state(tmp_path / "u.npz")
+
+
+def test_parcels_of_known_throws_are_not_computed_again():
+    """Of a table that grows and shrinks; then of another."""
+    table, ids, _ = thrown()
+    known, assert_same = KnownParcels(), np.testing.assert_array_equal
+    for part in (slice(0, 5), slice(0, 5), slice(2, 9), slice(8, 12), slice(0, 3), slice(20, 21)):
+        for found, wanted in zip(
+            known.of(table[part], ids[part]), parcels_of(table[part], ids[part]), strict=True
+        ):
+            assert_same(found, wanted)
+    assert not len(known.of(table[:0], ids[:0]).row)
 
 
 # --- the picture ----------------------------------------------------------------------------------

@@ -12,7 +12,8 @@ import numpy as np
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.splatting import project
-from rainsim.cuda.splatting.prepared import CHUNKS_AT_ONCE, ROW, DeviceSplats, clean, reach_of
+from rainsim.cuda.splatting.merged import clean
+from rainsim.cuda.splatting.prepared import CHUNKS_AT_ONCE, ROW, DeviceSplats, reach_of
 from rainsim.errors import ParameterError
 from rainsim.splatting.prepared import LANES
 
@@ -46,7 +47,7 @@ class DeviceRoom(DeviceSplats):
 
         The device must draw nothing meanwhile.
         """
-        self.compensate, self._order = prepared.compensate, prepared.order
+        self.compensate, self._order = prepared.compensate, lambda: prepared.order
         if self._places is None or prepared.geometry is not self._places.geometry:
             self._grow(prepared)
         self._places = prepared

@@ -1,10 +1,13 @@
 """Twin of `rainsim.particles.spray`: the spray of tyres in a picture on a CUDA device.
 
-The host chooses the drops that are drawn one by one and the clouds of all others; the device draws
-both, the drops with the streaks of the rain. A thread takes a pixel through all clouds.
+The host chooses the parcels whose drops are drawn one by one and the clouds of all others; the
+device scatters the drops, a thread each, and draws them with the streaks of the rain. A thread
+takes a pixel through all clouds.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -15,8 +18,12 @@ from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.splash_pass import draw_list
 from rainsim.cuda.warp import GROUPS
 from rainsim.numerics.approximations import exp_minus
+from rainsim.numerics.random import subkey, uniform_triple
 from rainsim.particles.spray import (
+    FIRST_WORD,
     MOST_DRAWN,
+    UNEVEN,
+    Flocks,
     cloud_of,
     cloud_table,
     cloud_thickness,
@@ -24,7 +31,9 @@ from rainsim.particles.spray import (
 )
 
 BLOCK = (8, 4) if SIMULATED else (32, 8)  # threads, one a pixel
+THREADS = 8 if SIMULATED else 128
 ROOM = 1024  # clouds that there is room for at first
+SPREAD, DIAMETER, ROAD = 6, 7, 8  # columns of a table of flocks, after place and velocity
 
 
 @cuda_kernel
@@ -55,6 +64,53 @@ def lay_clouds(many, clouds, lens, depth, alpha_out):
         alpha_out[row, column] = ONE - (ONE - alpha_out[row, column]) * exp_minus(optical)
 
 
+@cuda_kernel
+def scatter(ends, ids, table, count_out, drops_out):
+    """List the drops of parcels around their middles; see `particles.spray.Flocks`.
+
+    Parameters
+    ----------
+    ends : device array of shape (n,), int64
+        Drops of each parcel and those before it.
+    ids : device array of shape (n,), uint64
+    table : device array of shape (n, 9), float64
+        Place, velocity, and the columns from SPREAD on.
+    count_out : device array of shape (1,), int32
+        0 before.
+    drops_out : device array of shape (room, 7), float64
+        In any order: the picture is a sum of whole numbers.
+    """
+    drop = cuda.grid(1)
+    if drop >= ends[-1]:
+        return
+    low, high = 0, ends.shape[0] - 1
+    while low < high:
+        middle = (low + high) // 2
+        if ends[middle] > drop:
+            high = middle
+        else:
+            low = middle + 1
+    within = drop - (ends[low - 1] if low > 0 else 0)
+    words = subkey(ids[low], within + FIRST_WORD)
+    a, b, c = uniform_triple(words)
+    d, e, f = uniform_triple(subkey(words, 1))
+    vx, vy, vz = table[low, 3], table[low, 4], table[low, 5]
+    uneven = UNEVEN * math.sqrt(vx * vx + vy * vy + vz * vz)
+    spread, radius = table[low, SPREAD], math.sqrt(-2 * math.log(c))
+    z = table[low, 2] + spread * radius * math.cos(2 * math.pi * d)
+    if z <= table[low, ROAD]:
+        return
+    place = cuda.atomic.add(count_out, 0, 1)
+    drops_out[place, 2], drops_out[place, 6] = z, table[low, DIAMETER]
+    drops_out[place, 3] = vx + uneven * radius * math.sin(2 * math.pi * d)
+    radius = spread * math.sqrt(-2 * math.log(a))
+    drops_out[place, 0] = table[low, 0] + radius * math.cos(2 * math.pi * b)
+    drops_out[place, 1] = table[low, 1] + radius * math.sin(2 * math.pi * b)
+    radius = uneven * math.sqrt(-2 * math.log(e))
+    drops_out[place, 4] = vy + radius * math.cos(2 * math.pi * f)
+    drops_out[place, 5] = vz + radius * math.sin(2 * math.pi * f)
+
+
 class Spray:
     """The spray of one frame after another.
 
@@ -75,17 +131,25 @@ class Spray:
         self.room, self._clouds = room, cuda.device_array((room, 5), np.float32)
         self.version = new_version()
 
-    def send(self, drops, puffs, camera):
-        """Send the drops and clouds of `spray_seen`; the device must draw nothing meanwhile."""
+    def send(self, flocks, puffs, camera):
+        """Send what `flocks_seen` returns; the device must draw nothing meanwhile."""
         clouds = cloud_table(puffs, camera)
         if len(clouds) > self.room:
             self._make_room(2 * len(clouds))
-        for rows, array, count in (
-            (drops, self._drops, self._count), (clouds, self._clouds, self._many),
-        ):  # fmt: skip
-            count.copy_to_device(np.array([len(rows)], np.int32))
-            if len(rows):
-                array[: len(rows)].copy_to_device(np.ascontiguousarray(rows))
+        self._many.copy_to_device(np.array([len(clouds)], np.int32))
+        if len(clouds):
+            self._clouds[: len(clouds)].copy_to_device(clouds)
+        self._count.copy_to_device(np.zeros(1, np.int32))
+        total = 0 if flocks is None else int(flocks.count.sum())
+        if total:
+            there = flocks.count > 0
+            flocks = Flocks(*(part[there] for part in flocks))
+            ends = cuda.to_device(np.cumsum(flocks.count))
+            table = cuda.to_device(np.column_stack(flocks[:5]))
+            scatter[-(-total // THREADS), THREADS](
+                ends, cuda.to_device(flocks.id), table, self._count, self._drops
+            )
+            cuda.synchronize()
 
     def draw(self, view, scene, picture, stream):
         """Queue the drawing of drops into the streaks' picture."""

@@ -42,7 +42,7 @@ class MovingHeights:
     def send(self, surfaces, shelters):
         """Send the map of `MovingSurfaces.moment`; the device must draw nothing meanwhile."""
         found, rows = surfaces.height_fields(), [part[0] for part, _ in shelters]
-        for part in (*self._rows, *rows):
+        for part in joined_rows([*self._rows, *rows]):
             for name in FIELDS:
                 getattr(self.fields, name)[part].copy_to_device(getattr(found, name)[part])
         if self._rows or rows:
@@ -51,3 +51,14 @@ class MovingHeights:
         if not SIMULATED:
             self._stream.synchronize()  # before the map of the host goes on
         self._rows = rows
+
+
+def joined_rows(parts):
+    """Return slices of rows that cover the same rows as `parts`, each once, in their order."""
+    found = []
+    for part in sorted(parts, key=lambda part: part.start):
+        if found and part.start <= found[-1].stop:
+            found[-1] = slice(found[-1].start, max(found[-1].stop, part.stop))
+        else:
+            found.append(part)
+    return found

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from rainsim.cuda.particles.spray import Spray
 from rainsim.cuda.rain.moving_surfaces import MovingHeights
-from rainsim.particles.spray import spray_seen
+from rainsim.particles.spray import flocks_seen
+from rainsim.rain.throws import KnownParcels
 
 
 class MovingActors:
@@ -28,6 +29,7 @@ class MovingActors:
 
     def __init__(self, frame):
         self._frame, conductor = frame, frame.conductor
+        self._parcels = KnownParcels()
         footprints = conductor.ground.terrain.footprints
         self.heights = self.spray = None
         if footprints:
@@ -47,7 +49,11 @@ class MovingActors:
             frame.passes.rain.impacts.list_again()
         if self.spray is not None:
             exposure = conductor.now.render.exposure
-            seen = spray_seen(
-                state.throws, state.throw_id, conductor.ground_camera, state.time, exposure
-            )
+            seen = flocks_seen(
+                state.throws, state.throw_id, conductor.ground_camera, state.time, exposure,
+                self._parcels.of,
+            )  # fmt: skip
             self.spray.send(*seen, conductor.ground_camera)
+        # The next frame's, if it follows, while the device draws this one.
+        fps = conductor.config.fps
+        conductor.look_ahead((round(state.time * fps) + 1) / fps)

@@ -45,7 +45,7 @@ class Renderer:
     def __init__(self, scene, terrain, config, first_camera):
         _require_known(config.render)
         self.stream, self._ahead = cuda.stream(), cuda.stream()
-        self._room = -(-sum(len(actor.splats) for actor in scene.actors) // LANES)
+        self._room = sum(-(-len(actor.splats) // LANES) for actor in scene.actors)
         self.conductor = Conductor(scene, terrain, config, first_camera, self._rasterizer_of)
         self.frame = DeviceFrame(self.conductor, self.stream)
         self.queue = FrameQueue(self.frame)

@@ -19,6 +19,7 @@ from rainsim.cuda.lod.paged import ChunkPicture
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.shading.lamp_images import Lamps, shines
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks, grade_layers, pixel_grid
+from rainsim.cuda.splatting.merged import PosedActors
 from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.numerics.ripmap import LEVELS
 from rainsim.scene.cameras import mirrored_camera
@@ -29,14 +30,18 @@ from rainsim.shading.wet_ground_mirror import (
     FIELD_STEP,
     MOST_ASIDE,
     MOST_UP,
+    STANDING,
+    STANDING_OUTSIDE,
     GroundSlopes,
     LevelPicture,
+    as_in_level_picture,
     block_ray,
     field_at,
     in_level_picture,
     level_camera,
     mirrored_light,
 )
+from rainsim.splatting.prepared import prepare
 
 COARSEST = 1 << (LEVELS - 1)
 
@@ -163,7 +168,7 @@ class LevelView:
         self._uniforms = FrameUniforms(stream, {
             "turn": ((3, 3), np.float32), "eye": ((3,), np.float32), "forward": ((2,), np.float32),
         })  # fmt: skip
-        self._room, self._horizon = None, 0
+        self._room, self._horizon, self._posed = None, 0, None
         self._allocate(1, 1)
         if drawn:
             paged = frame.conductor.wet_scene.capture.paged
@@ -199,8 +204,26 @@ class LevelView:
         """Send the actors of the present time; the device must draw nothing meanwhile."""
         conductor = self._frame.conductor
         scene, terrain = conductor.wet_scene, conductor.ground.terrain
+        actors = scene.capture.actors
         for rasterizer in self.rasterizers:
-            rasterizer.splats.put_actors(scene.capture.actors.standing(terrain, scene.frame))
+            if not actors.rigid:
+                rasterizer.splats.put_actors(actors.standing(terrain, scene.frame))
+                continue
+            if self._posed is None:
+                self._posed = self._posed_actors(rasterizer.splats, actors.actors, scene.frame)
+            self._posed.put(actors.poses)
+            self._posed.hide(
+                self._upright, self._frame["bed"], self._frame.place, np.float32(STANDING),
+                np.float32(STANDING_OUTSIDE),
+            )  # fmt: skip
+
+    def _posed_actors(self, splats, actors, frame):
+        turn = frame.rotation * frame.meters_per_unit
+        self._upright = cuda.to_device(
+            np.concatenate([turn.ravel(), frame.translation]).astype(np.float32)
+        )
+        parts = [as_in_level_picture(prepare(actor.splats), frame) for actor in actors]
+        return PosedActors(splats, parts, [actor.turning for actor in actors])
 
     @property
     def versions(self):

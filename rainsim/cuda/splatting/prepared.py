@@ -1,8 +1,9 @@
 """Twin of `splatting.prepared`: splats on a device, and room for those of actors before them.
 
-The static set is sent once. For each moment only the actors' chunks are sent, into the room that
-lies before it, as `rainsim.splatting.merged` has it on the host; the room's other chunks are never
-drawn. So no address changes, and recorded queues stay as they are.
+The static set is sent once, and so are the actors, which `merged` puts into the room before it,
+moment by moment. Those whose colours change are sent for each moment, as
+`rainsim.splatting.merged` has them on the host. The room's other chunks are never drawn. So no
+address changes, and recorded queues stay as they are.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ import numpy as np
 
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.splatting import project
+from rainsim.cuda.splatting.merged import PosedActors, clean
 from rainsim.errors import ParameterError
-from rainsim.splatting.prepared import GEOMETRY, LANES, OPACITY
+from rainsim.splatting.prepared import GEOMETRY, LANES, OPACITY, prepare
 
 CHUNKS_AT_ONCE = 4096  # of colours that are converted and sent together
 ROW = GEOMETRY * LANES  # numbers of a chunk's geometry
@@ -71,7 +73,8 @@ class DeviceSplats:
         self.span = cuda.to_device(span)
         self.rank = cuda.to_device(np.arange(self.chunks, dtype=np.int32))
         self.around = cuda.to_device(self._with_room(np.ascontiguousarray(around, np.float32), 0))
-        self._order, self._first = prepared.order, room  # of splats, and the place of its first
+        self._static, self._posed = prepared.order, None
+        self._order, self._first = lambda: prepared.order, room  # and the place of the first
 
     def _with_room(self, rows, value):
         """Return rows, one per chunk of the static set, with the room's before them."""
@@ -108,11 +111,27 @@ class DeviceSplats:
             self.geometry[first * ROW : room * ROW].copy_to_device(geometry.reshape(-1))
             self.box[first:room].copy_to_device(np.ascontiguousarray(merged.box[:used]))
             self._send_harmonics(merged, used, first)
-        if room:
-            span = np.full((room, 2), np.inf, np.float32)
-            span[first:, 0] = 0
-            self.span[:room].copy_to_device(span)
-        self._order, self._first = merged.order, first
+        self.show_room(np.arange(room) >= first)
+        self._order, self._first = lambda: merged.order, first
+
+    def pose_actors(self, actors):
+        """Put the actors of an `ActorSplats` where they are; the device must draw nothing."""
+        if not actors.rigid:
+            self.put_actors(actors.merged())
+            return
+        if self._posed is None:
+            parts = [prepare(actor.splats) for actor in actors.actors]
+            self._posed = PosedActors(self, parts, [actor.turning for actor in actors.actors])
+        self._posed.put(actors.poses)
+        shown = [pose is not None for pose in actors.poses]
+        self._order, self._first = lambda: self._posed.order(self._static, shown, actors.first), 0
+
+    def show_room(self, shown):
+        """Draw those chunks of the room that the mask (room,) selects, no others."""
+        if self.room:
+            span = np.full((self.room, 2), np.inf, np.float32)
+            span[shown, 0] = 0
+            self.span[: self.room].copy_to_device(span)
 
     def divisors(self):
         """Return the divisors of the pictures that show which splat is hit, a digit each."""
@@ -138,7 +157,7 @@ class DeviceSplats:
         hit, number = np.full(seen.shape, -1, np.int32), -self._first * LANES
         for divisor, digit in zip(self.divisors(), digits, strict=True):
             number = number + divisor * (digit[seen].astype(np.int64) - 1)
-        hit[seen] = self._order[number]
+        hit[seen] = self._order()[number]
         return hit
 
 
@@ -150,14 +169,3 @@ def reach_of(box):
         return np.zeros(3), 1.0
     centre = np.median(middle, axis=0).astype(np.float64)
     return centre, float(np.percentile(np.linalg.norm(middle - centre, axis=1), 99))
-
-
-def clean(geometry):
-    """Return the geometry with a finite opacity everywhere and nothing that is not a number."""
-    rows = geometry.reshape(len(geometry), -1, LANES)
-    bad = ~np.isfinite(rows).all(axis=1)
-    if bad.any():
-        rows = rows.copy()
-        rows[bad[:, None].repeat(rows.shape[1], axis=1)] = 0
-        rows[:, OPACITY][bad] = project.FAINT
-    return rows

@@ -12,9 +12,10 @@ import numpy as np
 
 from rainsim.cuda.driver import fetch, send, to_device
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
-from rainsim.cuda.rain.moving_surfaces import MovingHeights
+from rainsim.cuda.rain.moving_surfaces import MovingHeights, joined_rows
 from rainsim.cuda.water.step_control import DRAINED, DROPPED, PARITY, UNIT
 from rainsim.io.states import NO_IDS, NO_THROWS, NO_TRACKS
+from rainsim.jit import may_run_beside
 from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.water.sources import DRY_DEPTH, lift_cells
 from rainsim.water.tyres import Tyres
@@ -228,10 +229,15 @@ class Traffic:
             self._heights = MovingHeights(self._moving.still, self._footprints, impacts.stream)
             impacts.surfaces, impacts.relisted = self._heights.fields, True
 
-    def cover(self, time):
-        """Let the drops that are listed next meet the map as it is at a time [s]."""
+    def cover(self, time, following):
+        """Let the drops that are listed next meet the map as it is at a time [s].
+
+        That of the `following` time [s] is looked for beside it.
+        """
         self._heights.send(*self._moving.moment(time))
         self._middle = time
+        if may_run_beside():
+            self._moving.look_ahead(following)
 
     def thin_rain(self):
         """Let less rain reach the ground in the listed interval; return the share that does."""
@@ -239,7 +245,7 @@ class Traffic:
             self._opened = self._moving.thinned(self._exposure, self._middle)
             rows = [part[0] for part, _ in self._moving.moment(self._middle)[1]]
             if rows or self._rows:
-                self._water.let_through(self._opened, [*self._rows, *rows])
+                self._water.let_through(self._opened, joined_rows([*self._rows, *rows]))
             self._rows = rows
         return self._opened
 

@@ -1,0 +1,217 @@
+"""Twin of `splatting.merged`: actors are sent once, in frames of their own, and posed on a device.
+
+A thread takes a splat: its place, covariance and normal turn with the actor, and its harmonics are
+mixed within each degree. The static set and all addresses stay as they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
+from rainsim.cuda.splatting.project import FAINT
+from rainsim.scene.harmonics import BANDS, mixings
+from rainsim.splatting.prepared import GEOMETRY, LANES, NOBODY, OPACITY
+
+THREADS = 8 if SIMULATED else 128
+POSE = 12  # numbers of a pose: rotation, row by row, and place
+MOST = np.float32(6e4)  # that a half holds
+
+
+@cuda_kernel
+def pose_splats(owner, poses, mixing, geometry, sh, groups, geometry_out, sh_out):
+    """Put splats where their actors are.
+
+    Parameters
+    ----------
+    owner : device array of shape (chunks,), int32
+        Actor of each chunk; -1 for none.
+    poses : device array of shape (actors, 12), float32
+    mixing : device array of shape (actors, k, k), float32
+        Takes the k harmonics of a channel to those after the turn.
+    geometry : device array of shape (chunks, 13, 256), float32
+        See `PreparedSplats`, in the actors' frames.
+    sh : device array of shape (chunks, 3 k, 256), float32
+    groups : int
+        Of eight halves, see `project.splat_color`.
+    geometry_out, sh_out
+        Of a `DeviceSplats`, whose first chunks are written.
+    """
+    place = cuda.grid(1)
+    chunk, lane = place // LANES, place % LANES
+    if chunk >= owner.shape[0] or owner[chunk] < 0 or geometry[chunk, OPACITY, lane] <= FAINT:
+        return
+    actor, g = owner[chunk], geometry[chunk]
+    a, b, c, x = poses[actor, 0], poses[actor, 1], poses[actor, 2], poses[actor, 9]
+    d, e, f, y = poses[actor, 3], poses[actor, 4], poses[actor, 5], poses[actor, 10]
+    h, i, j, z = poses[actor, 6], poses[actor, 7], poses[actor, 8], poses[actor, 11]
+    xx, xy, xz, yy, yz, zz = g[3, lane], g[4, lane], g[5, lane], g[6, lane], g[7, lane], g[8, lane]
+    # The rotation times the covariance, then times the rotation's transpose.
+    p, q, r = a * xx + b * xy + c * xz, a * xy + b * yy + c * yz, a * xz + b * yz + c * zz
+    s, t, u = d * xx + e * xy + f * xz, d * xy + e * yy + f * yz, d * xz + e * yz + f * zz
+    v, w, o = h * xx + i * xy + j * xz, h * xy + i * yy + j * yz, h * xz + i * yz + j * zz
+    px, py, pz = g[0, lane], g[1, lane], g[2, lane]
+    nx, ny, nz = g[9, lane], g[10, lane], g[11, lane]
+    at = chunk * (GEOMETRY * LANES) + lane
+    geometry_out[at] = a * px + b * py + c * pz + x
+    geometry_out[at + LANES] = d * px + e * py + f * pz + y
+    geometry_out[at + 2 * LANES] = h * px + i * py + j * pz + z
+    geometry_out[at + 3 * LANES] = p * a + q * b + r * c
+    geometry_out[at + 4 * LANES] = p * d + q * e + r * f
+    geometry_out[at + 5 * LANES] = p * h + q * i + r * j
+    geometry_out[at + 6 * LANES] = s * d + t * e + u * f
+    geometry_out[at + 7 * LANES] = s * h + t * i + u * j
+    geometry_out[at + 8 * LANES] = v * h + w * i + o * j
+    geometry_out[at + 9 * LANES] = a * nx + b * ny + c * nz
+    geometry_out[at + 10 * LANES] = d * nx + e * ny + f * nz
+    geometry_out[at + 11 * LANES] = h * nx + i * ny + j * nz
+    geometry_out[at + OPACITY * LANES] = g[OPACITY, lane]
+    count = mixing.shape[1]
+    for k in range(count):
+        for channel in range(3):
+            value = np.float32(0)
+            for m in range(count):
+                value += mixing[actor, k, m] * sh[chunk, 3 * m + channel, lane]
+            row = 3 * k + channel
+            half = ((chunk * groups + row // 8) * LANES + lane) * 8 + row % 8
+            sh_out[half] = max(-MOST, min(value, MOST))
+
+
+@cuda_kernel
+def hide_low(chunks, ground, bed, corner, cell, least, least_outside, geometry_out):
+    """Hide the splats that do not stand on the ground, see `wet_ground_mirror.standing`.
+
+    Parameters
+    ----------
+    chunks : int
+        The first ones, which are looked at.
+    ground : device array of shape (12,), float32
+        Takes the capture frame to the ground frame [m], as a pose.
+    bed : device array of shape (ny, nx), float32 [m]
+    corner : device array of shape (2,), float32 [m]
+    cell, least, least_outside : float32 [m]
+    geometry_out
+        Of a `DeviceSplats`.
+    """
+    place = cuda.grid(1)
+    chunk, lane = place // LANES, place % LANES
+    if chunk >= chunks:
+        return
+    at = chunk * (GEOMETRY * LANES) + lane
+    px, py, pz = geometry_out[at], geometry_out[at + LANES], geometry_out[at + 2 * LANES]
+    x = ground[0] * px + ground[1] * py + ground[2] * pz + ground[9]
+    y = ground[3] * px + ground[4] * py + ground[5] * pz + ground[10]
+    z = ground[6] * px + ground[7] * py + ground[8] * pz + ground[11]
+    column, row = (x - corner[0]) / cell, (y - corner[1]) / cell
+    lowest, (ny, nx) = least_outside, bed.shape
+    if column >= 0 and row >= 0 and column < nx and row < ny:
+        lowest = bed[int(row), int(column)] + least
+    if z <= lowest:
+        geometry_out[at + OPACITY * LANES] = FAINT
+
+
+class PosedActors:
+    """The actors of a `DeviceSplats`, one moment after another.
+
+    Parameters
+    ----------
+    splats : DeviceSplats
+        With room for all parts.
+    parts : sequence of PreparedSplats
+        Of each actor, in its frame; harmonics of the degree of `splats`.
+    turning : sequence of bool
+        Whether the harmonics of each turn with it.
+    """
+
+    def __init__(self, splats, parts, turning):
+        self._splats, self._turning = splats, turning
+        counts = [len(part.box) for part in parts]
+        self._first = np.cumsum([0, *counts])
+        used, room = int(self._first[-1]), splats.room
+        self._owner = np.repeat(np.arange(len(parts), dtype=np.int32), counts)
+        self._box = np.concatenate([part.box for part in parts])
+        self._orders = [part.order for part in parts]
+        self._degrees = parts[0].degree + 1
+        geometry = np.concatenate([clean(part.geometry) for part in parts])
+        self._data = tuple(cuda.to_device(np.ascontiguousarray(a, np.float32)) for a in (
+            geometry.reshape(used, GEOMETRY, LANES),
+            np.concatenate([part.harmonics() for part in parts]),
+        ))  # fmt: skip
+        self._there = cuda.to_device(np.full(used, -1, np.int32))
+        self._poses = cuda.to_device(np.zeros((len(parts), POSE), np.float32))
+        count = self._degrees**2
+        self._mixing = cuda.to_device(np.zeros((len(parts), count, count), np.float32))
+        self._shown, self._used, self._room = None, used, room
+
+    def put(self, poses):
+        """Put the actors at their poses, None of those that are away; the device must be idle."""
+        splats, used = self._splats, self._used
+        shown = np.array([pose is not None for pose in poses] or [False] * len(self._turning))
+        there = shown[self._owner]
+        rows = np.zeros((len(shown), POSE), np.float32)
+        mixing = np.zeros(self._mixing.shape, np.float32)
+        for k, pose in enumerate(poses):
+            if pose is not None:
+                rows[k] = (*pose.rotation.ravel(), *pose.position)
+                turn = pose.rotation if self._turning[k] else np.eye(3)
+                for band, each in zip(BANDS, mixings(turn, self._degrees), strict=False):
+                    mixing[k, band, band] = each
+        self._there.copy_to_device(np.where(there, self._owner, -1).astype(np.int32))
+        self._poses.copy_to_device(rows)
+        self._mixing.copy_to_device(mixing)
+        splats.show_room(np.concatenate([there, np.zeros(self._room - used, bool)]))
+        box = np.zeros((self._room, 6), np.float32)
+        box[:used] = self._boxes(rows.astype(np.float64))
+        splats.box[: self._room].copy_to_device(box)
+        pose_splats[-(-used * LANES // THREADS), THREADS](
+            self._there, self._poses, self._mixing, *self._data, splats.groups, splats.geometry,
+            splats.sh,
+        )  # fmt: skip
+        cuda.synchronize()
+
+    def hide(self, ground, bed, place, least, least_outside):
+        """Hide what does not stand on the ground, see `hide_low`; `put` shows it again."""
+        (corner, cell), used = place, self._used
+        hide_low[-(-used * LANES // THREADS), THREADS](
+            used, ground, bed, corner, cell, least, least_outside, self._splats.geometry
+        )
+        cuda.synchronize()
+
+    def _boxes(self, rows):
+        """Return boxes around those of the chunks, as the actors have turned."""
+        turn = rows[self._owner, :9].reshape(-1, 3, 3)
+        low, high = self._box[:, :3], self._box[:, 3:]
+        with np.errstate(invalid="ignore"):  # a chunk of holes has none, which stays
+            middle = np.einsum("nij,nj->ni", turn, 0.5 * (low + high)) + rows[self._owner, 9:]
+            half = np.einsum("nij,nj->ni", np.abs(turn), 0.5 * (high - low))
+        return np.concatenate([middle - half, middle + half], axis=1)
+
+    def order(self, static, shown, first):
+        """Return the numbers of all places' splats, those of the static set behind the actors'.
+
+        Parameters
+        ----------
+        static : ndarray of shape (n,), int32
+            Of the static set.
+        shown : sequence of bool
+            Which actors are there: only they have numbers.
+        first : int
+            Of the first of them.
+        """
+        found = np.full(self._room * LANES, NOBODY, np.int32)
+        for begin, order, seen in zip(self._first, self._orders, shown, strict=False):
+            if seen:
+                found[begin * LANES : begin * LANES + len(order)] = order + first
+                first += len(order)
+        return np.concatenate([found, static])
+
+
+def clean(geometry):
+    """Return the geometry with a finite opacity everywhere and nothing that is not a number."""
+    rows = geometry.reshape(len(geometry), -1, LANES)
+    bad = ~np.isfinite(rows).all(axis=1)
+    if bad.any():
+        rows = rows.copy()
+        rows[bad[:, None].repeat(rows.shape[1], axis=1)] = 0
+        rows[:, OPACITY][bad] = FAINT
+    return rows
