@@ -10,7 +10,8 @@ from importlib.util import find_spec
 
 # Set, to a compute capability such as 9.0, in processes that compile for a GPU and use none.
 CAPABILITY = "RAINSIM_CUDA_CAPABILITY"
-TOOLKIT = ("nvidia-nvvm", "nvidia-cuda-nvrtc", "nvidia-nvjitlink")  # makes machine code
+# What makes machine code beside numba-cuda; the sort of splats is cuda-cccl's.
+TOOLKIT = ("nvidia-nvvm", "nvidia-cuda-nvrtc", "nvidia-nvjitlink", "cuda-cccl")
 _MAJOR, _MINOR = 75, 76  # of the compute capability, among the attributes of a device
 
 
@@ -38,6 +39,15 @@ def capability():
     except (OSError, AttributeError):
         return None
     return None if any(faults) else ".".join(str(part.value) for part in parts)
+
+
+def has_driver():
+    """Return whether NVIDIA's driver is here, without which cuda-cccl compiles nothing."""
+    try:
+        ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
+    except OSError:
+        return False
+    return True
 
 
 def versions(capability):

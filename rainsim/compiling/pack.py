@@ -20,7 +20,7 @@ from rainsim import __version__
 from rainsim.compiling import gpu, shipped
 from rainsim.compiling.folder import NAME
 from rainsim.compiling.pool import Pool, processes
-from rainsim.compiling.recorded import needed, on_gpu
+from rainsim.compiling.recorded import SORT, needed, on_gpu
 from rainsim.compiling.uses import ALL, ALL_CUDA
 
 METADATA = """Metadata-Version: 2.1
@@ -69,9 +69,11 @@ def make(out, entries, progress=None, capabilities=()):
         own = {"NUMBA_CACHE_DIR": work, "NUMBA_DISABLE_INTEL_SVML": "1"}
         own |= shipped.PROCESSOR | {shipped.VARIABLE: shipped.OFF}
         _compile([entry for entry in entries if not on_gpu(entry)], progress, own)
+        on_device = [entry for entry in entries if on_gpu(entry)]
+        if not gpu.has_driver():
+            on_device = [entry for entry in on_device if entry.kernel != SORT]
         for one in capabilities:
-            device = own | {gpu.CAPABILITY: one}
-            _compile([entry for entry in entries if on_gpu(entry)], progress, device)
+            _compile(on_device, progress, own | {gpu.CAPABILITY: one})
         place = Path(work) / NAME
         files = {
             file.relative_to(place).as_posix(): file.read_bytes()
@@ -142,6 +144,8 @@ def main(words=None):
     given = parser.parse_args(words)
     if sys.platform != "linux" or os.uname().machine != "x86_64":
         sys.exit("kernels are packed on Linux on x86-64 alone; run this there")
+    if given.capabilities and not gpu.has_driver():
+        print(f"without {SORT}: it is compiled where NVIDIA's driver is", file=sys.stderr)
     path = make(given.out, needed((*ALL, *ALL_CUDA)), _progress, given.capabilities)
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
 

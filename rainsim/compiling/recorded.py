@@ -11,6 +11,7 @@ from pathlib import Path
 
 FILE = Path(__file__).with_name("kernels.json")
 CUDA_FILE = Path(__file__).with_name("cuda_kernels.json")  # of uses on a GPU, recorded on one
+SORT = "rainsim.cuda.splatting.sort:radix_sort"  # a library's, compiled where its driver is
 TERRAIN = "terrain"  # the stage that a run begins with
 STAGES = (TERRAIN, "frames")
 

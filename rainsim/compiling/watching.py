@@ -1,10 +1,12 @@
 """Watch which kernels a program calls, for which arguments: how the list is recorded."""
 
 import contextlib
+import importlib
 import time
 
 from numba.core.dispatcher import Dispatcher
 
+from rainsim.compiling.recorded import SORT
 from rainsim.compiling.signatures import UnknownType, to_text
 from rainsim.jit import KERNELS
 
@@ -13,6 +15,12 @@ from rainsim.jit import KERNELS
 def watched_cuda(found):
     """Record, as `watched` does, which kernels of the GPU are called."""
     from numba.cuda.dispatcher import CUDADispatcher
+
+    importlib.import_module(SORT.partition(":")[0])
+    sort = KERNELS[SORT]
+
+    def sorts(kinds, seconds):
+        found(SORT, ", ".join(map(to_text, kinds)), seconds)
 
     original = CUDADispatcher.compile
 
@@ -27,11 +35,11 @@ def watched_cuda(found):
             found(name, ", ".join(map(to_text, kinds)), seconds if compiled else None)
         return result
 
-    CUDADispatcher.compile = compile_one
+    CUDADispatcher.compile, sort.watcher = compile_one, sorts
     try:
         yield
     finally:
-        CUDADispatcher.compile = original
+        CUDADispatcher.compile, sort.watcher = original, None
 
 
 @contextlib.contextmanager
