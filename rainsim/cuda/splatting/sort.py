@@ -50,6 +50,20 @@ class _Sorter:
         self._sort(temp_storage=self._memory, stream=self._stream, **self._options)
 
 
+class _Typed:
+    """An array's type, to compile for.
+
+    The library's own `ProxyArray` has no address, and by that the radix sort takes values for
+    absent ones: it compiles a sort of keys alone (cuda-cccl 1.2.1).
+    """
+
+    def __init__(self, dtype):
+        self.__cuda_array_interface__ = {
+            "shape": (1,), "typestr": np.dtype(dtype).str, "data": (256, False), "strides": None,
+            "version": 3,
+        }  # fmt: skip
+
+
 class KeptSort:
     """The machine code of cuda.compute's radix sort, kept and made ahead as that of a kernel is.
 
@@ -67,9 +81,9 @@ class KeptSort:
 
     def compile(self, kinds):
         """Compile for argument types and the compute capability here, and keep it; return it."""
-        from cuda.compute import ProxyArray, SortOrder, make_radix_sort
+        from cuda.compute import SortOrder, make_radix_sort
 
-        key, value = (ProxyArray(np.dtype(str(kind.dtype))) for kind in kinds)
+        key, value = (_Typed(str(kind.dtype)) for kind in kinds)
         made = make_radix_sort(
             d_in_keys=key, d_out_keys=key, d_in_values=value, d_out_values=value,
             order=SortOrder.ASCENDING, compute_capability=_capability(),
