@@ -16,8 +16,10 @@ from scipy.optimize import brentq
 from scipy.special import j0
 
 from rainsim.constants import GRAVITY
+from rainsim.grid import WaterSolver
 
 WALLS = "wall"
+CELL_BYTES = 28  # a cell that a step reads (depth, bed, two velocities) and writes (without bed)
 
 
 @dataclass(frozen=True)
@@ -184,3 +186,17 @@ def crest_of(case, depth):
     a, b, c = wave[k - 1 : k + 2]
     shift = (a - c) / (2 * (a - 2 * b + c))
     return float((b - 0.25 * (a - c) * shift) / case.extra["crest"])
+
+
+def wavy_lake(cells, scheme, **given):
+    """Return a solver of a lake of 20 m, `cells` a side, with waves everywhere."""
+    y, x = np.ogrid[:cells, :cells]
+    y, x = y * (20.0 / cells), x * (20.0 / cells)
+    solver = WaterSolver(np.zeros((cells, cells)), 20.0 / cells, scheme=scheme, **given)
+    solver.set_state(0.3 + 0.003 * np.sin(x) * np.cos(1.3 * y))
+    return solver
+
+
+def span_of(cells, steps):
+    """Return the time [s] in which `wavy_lake` takes `steps` steps of a Courant number of 0.3."""
+    return steps * 0.3 * (20.0 / cells) / np.sqrt(GRAVITY * 0.303)

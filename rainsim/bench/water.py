@@ -6,10 +6,11 @@ import time
 
 import numpy as np
 
-from rainsim.bench import cases, peers
+from rainsim.bench import cases, peers, water_cuda
 from rainsim.bench.chart import draw_fronts, front
 from rainsim.bench.flood_cases import Arrivals
 from rainsim.bench.suite import machine, markdown, quiet
+from rainsim.errors import ParameterError
 from rainsim.grid import WaterSolver
 from rainsim.jit import cpu_kernel, prange, set_threads
 
@@ -31,7 +32,6 @@ REPEATS = {False: 3, True: 1}  # runs of a case, of which the fastest counts
 GAUGE_PERIOD = 2.0  # s, between readings of the rain gauge
 SPEED_CELLS = {False: 1024, True: 128}
 SPEED_ROUNDS = 5  # alternating, of which the median counts
-CELL_BYTES = 28  # a cell that a step reads (depth, bed, two velocities) and writes (without bed)
 COPY_SIZE = {False: 1 << 25, True: 1 << 20}  # numbers, more than caches hold
 
 
@@ -97,15 +97,11 @@ def measure(case, scheme, repeats=1, dtype=np.float32):
 
 def throughput(cells, schemes=("accurate", "lean", "paper"), steps=32):
     """Return {scheme: cells per second} on a wavy lake, in alternating runs, medians."""
-    y, x = np.mgrid[:cells, :cells] * (20.0 / cells)
-    wave = 0.3 + 0.003 * np.sin(x) * np.cos(1.3 * y)
-    solvers, rates = {}, {}
-    for scheme in schemes:
-        solvers[scheme] = WaterSolver(np.zeros((cells, cells)), 20.0 / cells, scheme=scheme)
-        solvers[scheme].set_state(wave)
-        solvers[scheme].advance(1e-3)
+    solvers, rates = {scheme: cases.wavy_lake(cells, scheme) for scheme in schemes}, {}
+    for scheme, solver in solvers.items():
+        solver.advance(1e-3)
         rates[scheme] = []
-    span = steps * 0.3 * (20.0 / cells) / np.sqrt(cases.GRAVITY * 0.303)
+    span = cases.span_of(cells, steps)
     for _ in range(SPEED_ROUNDS):
         for scheme, solver in solvers.items():
             start = time.perf_counter()
@@ -128,7 +124,7 @@ def memory_limit(numbers):
         start = time.perf_counter()
         copy(a, b)
         best = min(best, time.perf_counter() - start)
-    return 2 * a.nbytes / best / CELL_BYTES
+    return 2 * a.nbytes / best / cases.CELL_BYTES
 
 
 def roof(cells, numbers, schemes=("accurate", "lean", "paper")):
@@ -143,12 +139,14 @@ def roof(cells, numbers, schemes=("accurate", "lean", "paper")):
     return found
 
 
-def run(quick=False, say=quiet):
-    """Run the whole bench, see `rainsim.bench.suite`.
+def run(quick=False, say=quiet, backend="cpu"):
+    """Run the whole bench, see `rainsim.bench.suite`; on a GPU `rainsim.bench.water_cuda.run`.
 
     The result has "machine", "records" (a list of dicts), "throughput" (cells per second by
     scheme), "memory_limit" (cells per second) and "roof", what `roof` returns.
     """
+    if backend == "cuda":
+        return water_cuda.run(quick, say)
     records = []
     for scheme in SCHEMES:  # compile outside the clock: kernels with and without friction
         measure(cases.rain(32), scheme)
@@ -200,7 +198,12 @@ def line(record):
 
 
 def table(result):
-    """Return errors and times [s] as a Markdown table, a row per case and size, the front bold."""
+    """Return errors and times [s] as a Markdown table, a row per case and size, the front bold.
+
+    On a GPU the table is that of `rainsim.bench.water_cuda`.
+    """
+    if "device" in result:
+        return water_cuda.table(result)
     records = [record for record in result["records"] if record["case"] in SUITE]
     return "\n".join(front_lines(records, SCHEMES))
 
@@ -219,7 +222,17 @@ def front_lines(records, schemes):
 
 
 def draw(result, path):
-    """Draw the chart of a result of `run` to a PNG."""
+    """Draw the chart of a result of `run` to a PNG.
+
+    Raises
+    ------
+    ParameterError
+        If it was measured on a GPU, where no errors are.
+    """
+    if "device" in result:
+        raise ParameterError(
+            "the bench of the water on a GPU has a table and no chart; leave --chart out"
+        )
     panels = {}
     for name, (_, _, least) in SUITE.items():
         lines = {}

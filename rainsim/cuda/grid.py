@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.cuda.driver import fetch, send, to_device
+from rainsim.cuda.graph import Graph
 from rainsim.cuda.rain.settling import CellLayout
 from rainsim.cuda.water import flow as lean
 from rainsim.cuda.water import step_control
@@ -20,6 +21,7 @@ from rainsim.water.inputs import EDGES
 from rainsim.water.sources import DRY_DEPTH, drain_cells
 
 CAPACITY = 12  # steps queued for a frame
+MOST_PLACES = 1 << 32  # of the numbers of both copies of depth and velocities
 
 
 class Water:
@@ -53,6 +55,7 @@ class Water:
 
     def __init__(self, solver, exposure=None, capacity=CAPACITY, stream=0):
         _require_lean(solver)
+        _require_room(solver)
         self.shape, self.stream, self.capacity = solver.shape, stream, capacity
         flow, sources, water = solver.flow, solver.sources, solver.flow.water
         ny, nx = flow.bed.shape
@@ -61,8 +64,9 @@ class Water:
         wide = step_control.pitch(nx)
         columns = -(-(nx - 2 * PAD) // lean.THREADS)
         rows = lean.rows_for(ny - 2 * PAD, columns)
-        open_edges = sum(1 << k for k, is_open in enumerate(flow.edge_is_open) if is_open)
-        self._layout = lean.Layout(ny, nx, wide, rows, open_edges)
+        kinds = sum(1 << k for k, is_open in enumerate(flow.edge_is_open) if is_open)
+        kinds |= 0 if flow.roughness is None else step_control.RUBS
+        self._layout = lean.Layout(ny, nx, wide, rows, kinds)
         self._limits = lean.Limits(*map(np.float32, (solver.gravity, flow.rounding, flow.dry)))
         self.cells = CellLayout(PAD * wide + PAD + step_control.LEAD, wide, solver.spacing**2)
         fields = np.stack([self._framed(a) for a in (water.h, water.u, water.v)])
@@ -84,6 +88,7 @@ class Water:
         self._stripes = side, -(-height // step_control.STRIPE)
         most = max(self._blocks[0] * self._blocks[1], side * height)
         self.account = Account(solver, exposure, most, stream)
+        self._recorded = {}  # launches of `advance` by name and page
 
     def _framed(self, field):
         """Return a map as the device has it, (ny + 1, width), float32."""
@@ -190,9 +195,9 @@ class Water:
             If the water is faster than water on the ground can be, or no longer finite.
         """
         self.account.update(duration, rate, added)
-        self.launch()
+        self._run(self.launch)
         while self.account.fetch()[step_control.LEFT] > 0.0:
-            self.go_on()
+            self._run(self.go_on)
         state = fetch(self.account.state, self.stream)
         if state[step_control.UNSOUND] or not np.isfinite(self.ledger().ground):
             raise DivergedError(
@@ -200,6 +205,20 @@ class Water:
                 f"than {self.account.courant:g}"
             )
         return int(state[step_control.SUBSTEPS])
+
+    def _run(self, queue):
+        """Queue the work of a method: launch by launch at first, then as one recorded launch.
+
+        A step takes a device less time than its launch takes the host. The default stream cannot be
+        recorded.
+        """
+        key = queue.__name__, self.page
+        if key in self._recorded:
+            self._recorded[key].launch()
+            return
+        queue()
+        if self.stream != 0:
+            self._recorded[key] = Graph(self.stream, queue)
 
     def ledger(self):
         """Return the `Ledger` at the last frame's end; waits for it."""
@@ -234,6 +253,16 @@ def _what_the_ground_takes(solver):
     return takes
 
 
+def _require_room(solver):
+    """Raise ParameterError for a map whose numbers have places of more than 32 bits."""
+    ny, nx = solver.flow.bed.shape
+    if 6 * (ny + 1) * step_control.pitch(nx) > MOST_PLACES:
+        raise ParameterError(
+            f"the map has {solver.shape[0]} x {solver.shape[1]} cells; a CUDA device takes some "
+            f'{MOST_PLACES // 6 // 10**6} million; take larger cells, or backend "cpu"'
+        )
+
+
 def _require_lean(solver):
     """Raise ParameterError for a scheme or float type that the device's solver does not have."""
     dtype = solver.flow.bed.dtype
@@ -249,4 +278,4 @@ def _require_lean(solver):
         )
 
 
-assert EDGES == ("west", "east", "south", "north")  # the order of the bits in `open_edges`
+assert EDGES == ("west", "east", "south", "north")  # the order of the bits in `kinds`

@@ -35,9 +35,10 @@ class GpuWaterSolver:
 
     def __init__(self, solver, exposure=None, capacity=64):
         require()
-        from rainsim.cuda.grid import Water  # where there is no device this cannot be imported
+        from rainsim.cuda.grid import Water  # where there is no device these cannot be imported
+        from rainsim.cuda.jit import cuda
 
-        self.water = Water(solver, exposure, capacity)
+        self.water = Water(solver, exposure, capacity, cuda.stream())
         self.time = solver.time
 
     def advance(self, duration, rain=0.0, progress=None):

@@ -1,7 +1,7 @@
 """Pictures in and out: PNG frames, float TIFF maps, previews, and Radiance HDR panoramas.
 
-The only module that imports imageio. Every file is written whole under a temporary name and then
-renamed, so that what stood there before survives a failure.
+The only module that imports imageio and Pillow. Every file is written whole under a temporary name
+and then renamed, so that what stood there before survives a failure.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
+from PIL import Image, TiffImagePlugin  # imageio brings it, and drops a TIFF's tags
 
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.arrays import write_arrays
@@ -177,6 +178,25 @@ def write_tiff(path, values):
         raise ParameterError(f"the map for {path} has shape {values.shape}; it must have two axes")
     with replacing(path) as temporary:
         _write(temporary, values, extension=".tiff")
+
+
+def write_tagged(path, values, tags):
+    """Write a map of float32 values as a TIFF with tags, a dict of int to numbers or text."""
+    found = TiffImagePlugin.ImageFileDirectory_v2()
+    for tag, numbers in tags.items():
+        found[tag] = numbers
+    picture = Image.fromarray(np.ascontiguousarray(values, np.float32))
+    picture.save(path, tiffinfo=found, compression="tiff_adobe_deflate")
+
+
+def tags_of(path):
+    """Return the tags of a TIFF, a dict of int to tuple, number or text."""
+
+    def read(path, **how):
+        with Image.open(path) as picture:
+            return dict(getattr(picture, "tag_v2", {}))
+
+    return _decoded(path, read)
 
 
 def write_npz(path, **arrays):

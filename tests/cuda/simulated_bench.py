@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from rainsim.bench import frame, frame_cuda, frame_gsplat, frame_levels
+from rainsim.bench import frame, frame_cuda, frame_gsplat, frame_levels, water
 from rainsim.cuda import simulated
+from rainsim.errors import ParameterError
 from rainsim.render.wet_scene import WetScene
 from scenes import tiny_scene
 
@@ -46,3 +47,14 @@ def test_a_capture_is_measured_dry_and_in_sequences(monkeypatch):
     assert all(0 < row["least_ms"] <= row["median_ms"] for row in rows)
     table = frame_gsplat.table([*rows, {**rows[0], "program": "gsplat", "splats": 8}])
     assert "| gsplat, dry, all layers | - | " in table and "| rainsim, dry, all layers | " in table
+
+
+def test_the_water_stands_beside_a_copy_of_its_bytes(monkeypatch):
+    monkeypatch.setattr(frame_cuda, "machine", dict)
+    result = water.run(quick=True, backend="cuda")
+    assert [row["bytes"] for row in result["rows"]] == [28, 32]
+    for row in result["rows"]:
+        assert row["steps"] >= 2 and 0 < row["rate"] <= row["most"] and row["limit"] > 0
+    assert "| 16 x 16 | with friction |" in water.table(result)
+    with pytest.raises(ParameterError, match="no chart"):
+        water.draw(result, "water.png")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rainsim.bench.cases import wavy_lake
 from rainsim.grid import WaterSolver
 
 pytestmark = pytest.mark.gpu
@@ -69,3 +70,15 @@ def test_the_same_bytes_twice():
     for a, b in zip(first.fields(), second.fields(), strict=True):
         np.testing.assert_array_equal(a, b)
     assert first.ledger() == second.ledger()
+
+
+def test_steps_that_are_recorded_are_those_of_the_cpu():
+    """Without friction, whose numbers are then not read; more steps than one queue has."""
+    from rainsim.cuda.solver import GpuWaterSolver
+
+    solver = wavy_lake(300, "lean")
+    before, gpu = solver.depth, GpuWaterSolver(solver, capacity=16)
+    for _ in range(4):
+        assert gpu.advance(0.5) == solver.advance(0.5).substeps > 16
+    assert np.abs(solver.depth - before).max() > 1e-3
+    assert np.abs(gpu.depth - solver.depth).max() < 2e-6

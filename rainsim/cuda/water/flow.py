@@ -23,6 +23,7 @@ from rainsim.cuda.warp import raise_to
 from rainsim.cuda.water.step_control import (
     CAP,
     EAST,
+    EDGES_OPEN,
     GRAVITY,
     LAST,
     LEAD,
@@ -38,6 +39,7 @@ from rainsim.cuda.water.step_control import (
     RATE,
     REACH,
     REACH_NOW,
+    RUBS,
     RUNS,
     SOUTH,
     SPACING,
@@ -61,24 +63,25 @@ from rainsim.water.friction import slowed
 from rainsim.water.lean import accelerated, upwind_flux, upwind_gain
 from rainsim.water.sources import infiltrate_and_fill
 
-ROWS = 8, 32  # of cells that a thread marches through: fewest, most
+ROWS = 8, 64  # of cells that a thread marches through: fewest, most
+BELOW = 3  # rows in time that a thread needs before its first one
 RESIDENT = 5  # blocks of `step` that a multiprocessor holds
 _ONE, _TWO = np.uint64(1), np.uint64(2)
 
 
 def rows_for(ny, wide):
-    """Return how many rows a thread takes so that `wide` blocks beside each other are all at work.
+    """Return how many rows a thread takes so that `wide` blocks beside each other end soonest.
 
-    Fewer rows would make a second, half empty round of blocks, more would leave some idle.
+    Blocks run in rounds. A last round that is half empty costs as much as a full one, and short
+    marches read more rows twice.
     """
-    fewest, most_rows = ROWS
     if SIMULATED:
-        return fewest
+        return ROWS[0]
     room = RESIDENT * cuda.get_current_device().MULTIPROCESSOR_COUNT
-    for rows in range(fewest, most_rows + 1):
-        if wide * -(-ny // rows) <= room:
-            return rows
-    return most_rows
+    return min(
+        range(ROWS[0], ROWS[1] + 1),
+        key=lambda rows: -(-wide * -(-ny // rows) // room) * (rows + BELOW),
+    )
 
 
 class Maps(NamedTuple):
@@ -113,15 +116,15 @@ class Layout(NamedTuple):
         Cells with their ghosts, and numbers from one row to the next.
     rows : int
         Of cells that a thread marches through.
-    open_edges : int
-        Bits of the open edges: WEST, EAST, SOUTH, NORTH.
+    kinds : int
+        Bits of the open edges, WEST, EAST, SOUTH, NORTH, and RUBS where there is friction.
     """
 
     ny: int
     nx: int
     pitch: int
     rows: int
-    open_edges: int
+    kinds: int
 
 
 class Limits(NamedTuple):
@@ -130,6 +133,12 @@ class Limits(NamedTuple):
     gravity: np.float32
     rounding: np.float32
     dry: np.float32
+
+
+@cuda.jit(device=True)
+def _moved(place, by):
+    """Return a place of 32 bits, moved, as an index: one instruction less than in 64 bits."""
+    return np.uint64(np.uint32(place + by))
 
 
 # long: a thread's march keeps some forty numbers in registers from row to row
@@ -160,6 +169,7 @@ def step(
     bed, roughness = maps.bed, maps.roughness
     ny, nx, pitch, rows, kinds = layout
     gravity, rounding, dry = limits
+    rubs = kinds & RUBS != 0  # the same for all threads: without it nothing of friction is done
     tops = cuda.shared.array(2, np.int32)
     room = cuda.shared.array(THREADS, np.float64)
     through = cuda.shared.array(THREADS, np.float64)  # there, not in registers: few add to it
@@ -181,18 +191,21 @@ def step(
     end = np.int32(min(first + rows, ny - PAD))
     far, fast = ZERO, ZERO
     if i <= last_column:
-        wide, plane = np.uint32(pitch), (ny + 1) * pitch
-        h = w_out[3 * p * plane :]
-        u, v = h[plane:], h[2 * plane :]
-        h_out = w_out[3 * (1 - p) * plane :]
-        u_out, v_out = h_out[plane:], h_out[2 * plane :]
+        # `to_h` and so on lead from a cell to its numbers, in the present copy and in the new one.
+        wide, plane = np.uint32(pitch), np.uint32((ny + 1) * pitch)
+        to_h, to_h_out = np.uint32(3 * p * plane), np.uint32(3 * (1 - p) * plane)
+        to_u, to_u_out = np.uint32(to_h + plane), np.uint32(to_h_out + plane)
+        to_v, to_v_out = np.uint32(to_u + plane), np.uint32(to_u_out + plane)
         place = np.uint32((first - 1) * pitch + i + LEAD)
-        at, south = np.uint64(place), np.uint64(np.uint32(place - wide))
-        h_w, h_c, b_w, b_c = h[at - _ONE], h[at], bed[at - _ONE], bed[at]
-        v_s, v_w, v_c, u_c = v[south], v[at - _ONE], v[at], u[at]
+        below = np.uint32(place - wide)
+        at, south = np.uint64(place), np.uint64(below)
+        at_h, at_v, south_h = _moved(place, to_h), _moved(place, to_v), _moved(below, to_h)
+        h_w, h_c, b_w, b_c = w_out[at_h - _ONE], w_out[at_h], bed[at - _ONE], bed[at]
+        v_s, v_w, v_c = w_out[_moved(below, to_v)], w_out[at_v - _ONE], w_out[at_v]
+        u_c = w_out[_moved(place, to_u)]
         t_s = b_c - bed[south]  # the step of the bed to the south
-        q_sw = upwind_flux(v_w, h[south - _ONE], h_w, b_w - bed[south - _ONE])
-        q_s = upwind_flux(v_c, h[south], h_c, t_s)
+        q_sw = upwind_flux(v_w, w_out[south_h - _ONE], h_w, b_w - bed[south - _ONE])
+        q_s = upwind_flux(v_c, w_out[south_h], h_c, t_s)
         d_s, e_s, r_s, q_ss, q_cs, q_es, u_s, u_es = (
             ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO,
         )  # fmt: skip
@@ -201,15 +214,20 @@ def step(
         row, faces = np.int32(0), np.int32(1 if lowest else 0)  # of which no face is to the south
         left = np.int32(end - first)  # rows to come
         while left >= 0:
-            at, north = np.uint64(place), np.uint64(np.uint32(place + wide))
+            above = np.uint32(place + wide)
+            at, north = np.uint64(place), np.uint64(above)
+            at_h, at_u, at_v = _moved(place, to_h), _moved(place, to_u), _moved(place, to_v)
+            north_h, north_v = _moved(above, to_h), _moved(above, to_v)
             # w, e, n: west, east, north of the cell; s: what the row below has left.
-            u_w, u_e, u_n = u[at - _ONE], u[at + _ONE], u[north]
-            v_e, v_nw, v_n = v[at + _ONE], v[north - _ONE], v[north]
-            h_e, h_nw, h_n = h[at + _ONE], h[north - _ONE], h[north]
+            u_w, u_e, u_n = w_out[at_u - _ONE], w_out[at_u + _ONE], w_out[_moved(above, to_u)]
+            v_e, v_nw, v_n = w_out[at_v + _ONE], w_out[north_v - _ONE], w_out[north_v]
+            h_e, h_nw, h_n = w_out[at_h + _ONE], w_out[north_h - _ONE], w_out[north_h]
             b_e, b_nw, b_n = bed[at + _ONE], bed[north - _ONE], bed[north]
-            r_w, r_c = roughness[at - _ONE], roughness[at]
+            r_w, r_c = ZERO, ZERO
+            if rubs:
+                r_w, r_c = roughness[at - _ONE], roughness[at]
             t_c, t_n = b_c - b_w, b_n - b_c
-            q_w = upwind_flux(u_w, h[at - _TWO], h_w, b_w - bed[at - _TWO])
+            q_w = upwind_flux(u_w, w_out[at_h - _TWO], h_w, b_w - bed[at - _TWO])
             q_c = upwind_flux(u_c, h_w, h_c, t_c)
             q_e = upwind_flux(u_e, h_c, h_e, b_e - b_c)
             q_nw = upwind_flux(v_nw, h_w, h_nw, b_nw - b_w)
@@ -225,11 +243,11 @@ def step(
                     )
                     noise = rounding * (d_w + abs(b_w)) + e
                     x = accelerated(u_c, d_w, d, t_c, noise, gain, k, kg, cap, dry)
-                    if x != ZERO:
+                    if rubs and x != ZERO:
                         deep = max(depth_over_step(d_w, d, t_c), dry)
                         along = QUARTER * (v_w + v_c + v_nw + v_n)
                         x = slowed(x, along, deep, drag * max(r_w, r_c), laminar)
-                    u_out[at] = x
+                    w_out[_moved(place, to_u_out)] = x
                     far = max(far, wave_speed(x, d_w, d, gravity))
                     fast = max(fast, abs(x))
                 if row > faces:
@@ -237,45 +255,45 @@ def step(
                         v_c, v_w, v_e, v_s, v_n, q_cs + q_c, q_es + q_e, q_ss + q_s, q_s + q_n
                     )
                     y = accelerated(v_c, d_s, d, t_s, e_s + e, gain, k, kg, cap, dry)
-                    if y != ZERO:
+                    if rubs and y != ZERO:
                         deep = max(depth_over_step(d_s, d, t_s), dry)
                         along = QUARTER * (u_s + u_es + u_c + u_e)
                         y = slowed(y, along, deep, drag * max(r_s, r_c), laminar)
-                    v_out[at] = y
+                    w_out[_moved(place, to_v_out)] = y
                     far = max(far, wave_speed(y, d_s, d, gravity))
                     fast = max(fast, abs(y))
-                h_out[at] = d
+                w_out[_moved(place, to_h_out)] = d
                 if rim:
                     passed = 0.0
                     if i == PAD:
                         passed -= np.float64(q_c)
                     if i == PAD + 1 and kinds & WEST:
-                        u_out[at - _ONE] = -speed_out(-x, -u_c, -u_e, -t_c)
+                        w_out[_moved(place, to_u_out) - _ONE] = -speed_out(-x, -u_c, -u_e, -t_c)
                     if i == last_column:
                         passed += np.float64(q_e)
                         if kinds & EAST:
-                            u_out[at + _ONE] = speed_out(x, u_c, u_w, t_c)
+                            w_out[_moved(place, to_u_out) + _ONE] = speed_out(x, u_c, u_w, t_c)
                     if lowest and row == 1:
                         passed -= np.float64(q_s)
                     if lowest and row == 2 and kinds & SOUTH:
-                        south = np.uint64(np.uint32(place - wide))
-                        v_out[south] = -speed_out(-y, -v_c, -v_n, -t_s)
+                        south_v = _moved(place, np.uint32(to_v_out - wide))
+                        w_out[south_v] = -speed_out(-y, -v_c, -v_n, -t_s)
                     if highest and left == 0:
                         passed += np.float64(q_n)
                         if kinds & NORTH:
-                            v_out[north] = speed_out(y, v_c, v_s, t_s)
+                            w_out[_moved(above, to_v_out)] = speed_out(y, v_c, v_s, t_s)
                     through[lane] += passed
             d_s, e_s, r_s, q_ss, q_cs, q_es, u_s, u_es = d, e, r_c, q_s, q_c, q_e, u_c, u_e
             t_s = t_n
             h_w, h_c, b_w, b_c, q_sw, q_s = h_nw, h_n, b_nw, b_n, q_nw, q_n
             v_s, v_w, v_c, u_c = v_c, v_nw, v_n, u_n
-            place = np.uint32(place + wide)
+            place = above
             row, left = np.int32(row + 1), np.int32(left - 1)
     raise_to(tops, 0, far)
     raise_to(tops, 1, fast)
     block = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x
     edge = first == PAD or end == ny - PAD or cuda.blockIdx.x == 0
-    if kinds != 0 and (edge or cuda.blockIdx.x == cuda.gridDim.x - 1):
+    if kinds & EDGES_OPEN != 0 and (edge or cuda.blockIdx.x == cuda.gridDim.x - 1):
         out = block_sum(room, lane, through[lane] * move)
         if lane == 0:
             partial_out[P_OUT, block] += out

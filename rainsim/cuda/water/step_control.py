@@ -48,6 +48,7 @@ NEXT = np.uint64(1)  # as an index: one that may be negative would be tested for
 LEAD = 32 - PAD  # floats before a row, so that the first cell begins a line of memory
 UNIT = 2.0**-50  # m: drops wait as whole numbers of it, so that their order does not matter
 WEST, EAST, SOUTH, NORTH = 1, 2, 4, 8  # bits of `kinds`: which edges are open
+EDGES_OPEN, RUBS = 15, 16  # all of these, and the bit of friction
 
 
 def pitch(nx):

@@ -1,0 +1,338 @@
+"""The command `rainsim flow`: the water solver alone on a map of heights."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from rainsim.commands import options
+from rainsim.commands.status import Status
+from rainsim.errors import InputError, ParameterError, require_positive
+
+MM_PER_HOUR = 1 / 3.6e6  # m/s
+SAVE_EVERY = 60.0  # s of the clock, at a reading
+GAUGES, STATE = "gauges.csv", "state.npz"
+MAPS = ("depth", "u", "v")
+
+
+class NumberOrFile(click.ParamType):
+    """A number, or a path: float or Path."""
+
+    name = "NUMBER|FILE"
+
+    def convert(self, value, param, ctx):
+        """Return a float or a Path."""
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            return Path(value)
+
+
+class AtEdge(click.ParamType):
+    """EDGE[:A:B]=VALUE: (edge, span or None, text)."""
+
+    name = "EDGE[:A:B]=VALUE"
+
+    def convert(self, value, param, ctx):
+        """Return the edge, the first cell and the last cell + 1 or None, and what is given."""
+        place, _, given = value.partition("=")
+        edge, *cells = place.split(":")
+        if not given or len(cells) not in (0, 2) or not all(n.isdigit() for n in cells):
+            self.fail(
+                f"{value!r} is not EDGE=VALUE or EDGE:A:B=VALUE, cells from A to B, B excluded, "
+                "such as west:8:12=river.csv",
+                param,
+                ctx,
+            )
+        return edge, tuple(map(int, cells)) or None, NumberOrFile().convert(given, param, ctx)
+
+
+class Gauge(click.ParamType):
+    """NAME=ROW,COLUMN: (name, (row, column))."""
+
+    name = "NAME=ROW,COLUMN"
+
+    def convert(self, value, param, ctx):
+        """Return the name and the cell."""
+        name, _, place = value.partition("=")
+        cell = place.split(",")
+        if not name or len(cell) != 2 or not all(n.strip().isdigit() for n in cell):
+            self.fail(f"{value!r} is not NAME=ROW,COLUMN, such as bridge=10,30", param, ctx)
+        return name, (int(cell[0]), int(cell[1]))
+
+
+def _given(name, kind, text, **more):
+    return click.option(f"--{name}", type=kind, help=text, **more)
+
+
+@click.command(short_help="Solve the flow of water over a map of heights, without a scene.")
+@click.argument("bed", type=click.Path(path_type=Path))
+@_given("duration", float, "Simulated time [s] from the start, not from where --resume goes on.",
+        required=True, metavar="S")  # fmt: skip
+@_given("spacing", float, "Side of a cell [m]; the file's where it has one.", metavar="M")
+@_given("rain", NumberOrFile(), "mm/h, or a CSV of time [s] and mm/h, each until the next.",
+        default="0")  # fmt: skip
+@_given("level", float, "Water level at the start [m], in the heights of the bed.", metavar="M")
+@_given("depth", NumberOrFile(), "Water depth at the start [m]. [default: dry]")
+@_given("manning", NumberOrFile(), "Manning's roughness [s m^(-1/3)]. [default: NO FRICTION]",
+        default="0")  # fmt: skip
+@_given("viscosity", float, "Kinematic, for laminar films [m2/s].", default=0.0, metavar="M2/S")
+@_given("infiltration", NumberOrFile(), "Rate that the ground takes [mm/h].", default="0")
+@_given("storage", NumberOrFile(), "Depth that each cell holds back [mm].", default="0")
+@_given("open", str, "Edge that water leaves over: west, east, south, north or all; else walls.",
+        multiple=True, metavar="EDGE")  # fmt: skip
+@_given("stage", AtEdge(), "Level at an edge: m, or a CSV of time [s] and m.", multiple=True)
+@_given("discharge", AtEdge(), "What comes in at an edge: m3/s, or a CSV of time [s] and m3/s.",
+        multiple=True)  # fmt: skip
+@_given("rating", AtEdge(), "Rating curve at an edge: a CSV of level [m] and m3/s that leave.",
+        multiple=True)  # fmt: skip
+@_given("gauge", Gauge(), "Cell whose depth and speed are read.", multiple=True)
+@_given("period", float, "Time between readings [s]. [default: a hundredth of --duration]",
+        metavar="S")  # fmt: skip
+@_given("scheme", click.Choice(["auto", "accurate", "lean", "paper"]), "The water scheme.",
+        default="auto", show_default=True)  # fmt: skip
+@_given("courant", float, "Cells that the fastest wave crosses in a step. [default: the scheme's]")
+@_given("double", bool, "float64 in place of float32.", is_flag=True)
+@options.resume_option
+@options.output_options("rainsim-out/BED-flow")
+def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given):
+    """Solve the flow of water over BED, a map of heights, without a scene.
+
+    BED and other maps are ESRI ASCII grids (.asc), GeoTIFF (.tif) in metres, lines of numbers
+    (.txt), all with the north first, or .npy with the south first. Units are SI but for rain,
+    infiltration and storage; rows count from the south, columns from the west.
+
+    Writes depth, u and v at the end as maps like BED, gauges.csv with the readings of gauges, open
+    edges and given edges, and state.npz. Ctrl-C stops after a step; --resume goes on, to a longer
+    --duration, too. There is no friction unless --manning or --viscosity is given.
+
+    \b
+    Example:
+        rainsim flow valley.asc --duration 3600 --rain 50 --manning 0.03 --open east
+        rainsim flow valley.asc --duration 3600 --discharge west:8:12=river.csv --gauge weir=10,55
+    """
+    status = Status(quiet)
+    duration = require_positive("--duration", duration, "s")
+    if given["depth"] is not None and given["level"] is not None:
+        raise ParameterError("--depth and --level are both given; leave one out")
+    files = [bed, *_files_in(given)]
+    out = out or options.default_out(bed.stem, "flow")
+    from rainsim.io.fingerprint import hash_of_file
+    from rainsim.io.rasters import read_raster
+    from rainsim.output_folder import Record, claimed, relative
+
+    ground = read_raster(bed)
+    content = {"flow": {k: str(v) for k, v in given.items() if k != "period"},
+               "files": [hash_of_file(file) for file in files]}  # fmt: skip
+    with status, claimed(out, overwrite, resume, files):
+        from rainsim.jit import set_threads
+
+        set_threads(threads)
+        record = Record(out, None, content)
+        if resume:
+            record.resume(())
+        solver, rain = _solver(ground, bed, given)
+        status.say(solver.choice)
+        if solver.flow.roughness is None:
+            status.notes(["no friction: neither --manning nor --viscosity is given"])
+        run = Run(solver, given, out, status)
+        if resume and (out / STATE).is_file():
+            run.load(duration)
+        record.begin()
+        record.add(GAUGES, STATE)
+        finished = run.to(duration, given["period"] or duration / 100, rain)
+        names = _write_maps(out, ground, solver)
+        record.add(*names)
+        record.write(complete=finished, time=solver.time, ledger=solver.ledger.as_dict())
+    if not finished:
+        status.say(f"stopped at {solver.time:.6g} s; --resume goes on from there")
+        raise KeyboardInterrupt
+    status.say(f"maps, gauges and state in {relative(out)}")
+    result = {"out": str(out), "files": record.files, "time": solver.time,
+              "steps": run.steps, "scheme": solver.scheme,
+              "ledger": solver.ledger.as_dict()}  # fmt: skip
+    options.echo(result, as_json, _as_text(result["ledger"]))
+
+
+class Run:
+    """A solver on its way, with its gauges and its files.
+
+    Parameters
+    ----------
+    solver : WaterSolver
+    given : dict
+        The command's options.
+    out : Path
+    status : Status
+
+    Attributes
+    ----------
+    steps : int
+        Taken so far.
+    """
+
+    def __init__(self, solver, given, out, status):
+        from rainsim.water.gauges import Gauges
+
+        self._solver, self._out, self._status = solver, out, status
+        self.gauges, self.steps = Gauges(solver, dict(given["gauge"])), 0
+
+    def load(self, duration):
+        """Take the state and the readings of the run that goes on."""
+        import csv
+
+        self._solver.load(self._out / STATE)
+        if self._solver.time > duration:
+            raise ParameterError(
+                f"--duration is {duration:g} s; the run in {self._out} is at "
+                f"{self._solver.time:g} s already; give a longer one"
+            )
+        try:
+            with open(self._out / GAUGES, newline="", encoding="utf-8") as file:
+                rows = [[float(x) for x in row] for row in list(csv.reader(file))[1:]]
+        except ValueError:
+            raise InputError(
+                f"{self._out / GAUGES} is no table of readings any more; put it back, or give "
+                "another --out"
+            ) from None
+        self.gauges.rows = [row for row in rows if row[0] <= self._solver.time]
+
+    def to(self, duration, period, rain):
+        """Go on to `duration` [s] with readings every `period` [s]; return whether it is reached.
+
+        Ctrl-C ends the run after a step.
+        """
+        require_positive("--period", period, "s")
+        solver, saved = self._solver, time.perf_counter()
+        with _interrupts() as pressed:
+
+            def goes_on(now):
+                self._status.progress("flow s", math.floor(now), math.ceil(duration))
+                return not pressed.is_set()
+
+            if not self.gauges.rows:
+                self.gauges.read()
+            while solver.time < duration and not pressed.is_set():
+                number = math.floor(solver.time / period + 1e-9) + 1
+                stop = min(number * period, duration)
+                self.steps += self._advance(stop, rain, goes_on)
+                if solver.time >= stop - 1e-9 * stop:
+                    self.gauges.read()
+                if time.perf_counter() - saved > SAVE_EVERY:
+                    self.save()
+                    saved = time.perf_counter()
+            self.save()
+        return solver.time >= duration
+
+    def _advance(self, stop, rain, goes_on):
+        """Take the solver on to a time [s]; return the steps."""
+        solver = self._solver
+        return solver.advance(stop - solver.time, rain, goes_on).substeps
+
+    def save(self):
+        """Write the state and the readings."""
+        self.gauges.write(self._out / GAUGES)
+        self._solver.save(self._out / STATE)
+
+
+@contextmanager
+def _interrupts():
+    """Yield an event that Ctrl-C sets: raised within a step, it would leave half of one."""
+    pressed = threading.Event()
+    own = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGINT, lambda *_: pressed.set()) if own else None
+    try:
+        yield pressed
+    finally:
+        if own:
+            signal.signal(signal.SIGINT, before)
+
+
+def _files_in(given):
+    """Return the files that options name, a list of Path."""
+    found = [value for value in given.values() if isinstance(value, Path)]
+    placed = (entry for name in ("stage", "discharge", "rating") for entry in given[name])
+    return found + [value for _, _, value in placed if isinstance(value, Path)]
+
+
+def _solver(ground, bed, given):
+    """Return the solver and its rain: a rate [m/s] or a series."""
+    from rainsim.grid import WaterSolver
+    from rainsim.water.conditions import Discharge, Rating, Stage
+    from rainsim.water.inputs import EDGES
+    from rainsim.water.series import read_series
+
+    spacing = given["spacing"] if given["spacing"] is not None else ground.spacing
+    if spacing is None:
+        raise ParameterError(f"{bed} does not say how large its cells are; give --spacing")
+    if ground.spacing is not None and abs(spacing - ground.spacing) > 1e-6 * ground.spacing:
+        raise ParameterError(
+            f"--spacing is {spacing:g} m; {bed} has cells of {ground.spacing:g} m; leave it out"
+        )
+
+    def series(value, factor=1.0, holds=False):
+        return (
+            read_series(value, None, factor, holds) if isinstance(value, Path) else value * factor
+        )
+
+    def curve(edge, span, value):
+        if not isinstance(value, Path):
+            raise ParameterError(f"--rating {edge}={value:g} is no curve; give a CSV file")
+        table = read_series(value)
+        return Rating(edge, table.times, table.values, span)
+
+    conditions = [Stage(edge, series(value), span) for edge, span, value in given["stage"]]
+    conditions += [Discharge(edge, series(value), span) for edge, span, value in given["discharge"]]
+    conditions += [curve(*entry) for entry in given["rating"]]
+    edges = EDGES if "all" in given["open"] else given["open"]
+    solver = WaterSolver(
+        ground.values, spacing, given["scheme"], dict.fromkeys(edges, "open"),
+        manning=_map(given["manning"], ground, "--manning"),
+        kinematic_viscosity=given["viscosity"], courant=given["courant"],
+        storage=1e-3 * _map(given["storage"], ground, "--storage"),
+        infiltration=MM_PER_HOUR * _map(given["infiltration"], ground, "--infiltration"),
+        dtype="float64" if given["double"] else "float32", conditions=conditions,
+    )  # fmt: skip
+    if given["depth"] is not None:
+        solver.set_state(_map(given["depth"], ground, "--depth"))
+    elif given["level"] is not None:
+        import numpy as np
+
+        solver.set_state(np.maximum(given["level"] - ground.values, 0.0))
+    return solver, series(given["rain"], MM_PER_HOUR, holds=True)
+
+
+def _map(value, ground, option):
+    """Return a number, or the map of a file, which must have the shape of the bed."""
+    if not isinstance(value, Path):
+        return value
+    from rainsim.io.rasters import read_raster
+
+    found = read_raster(value).values
+    if found.shape != ground.values.shape:
+        raise InputError(
+            f"{value} of {option} has {found.shape[0]} x {found.shape[1]} cells; it must have the "
+            f"bed's {ground.values.shape[0]} x {ground.values.shape[1]}"
+        )
+    return found
+
+
+def _write_maps(out, ground, solver):
+    """Write depth and velocity as maps like the bed; return their names."""
+    from rainsim.io.rasters import write_raster
+
+    names = [f"{name}{ground.kind}" for name in MAPS]
+    for name, values in zip(names, (solver.depth, *solver.velocity), strict=True):
+        write_raster(out / name, values, ground)
+    return names
+
+
+def _as_text(ledger):
+    volumes = [f"{name} {volume:.6g} m3" for name, volume in ledger.items() if name != "residual"]
+    return "\n".join([*volumes, f"residual {ledger['residual']:+.1e}"])

@@ -1,0 +1,121 @@
+"""`rainsim flow`: the water solver alone, from maps and tables to maps, gauges and a state."""
+
+import csv
+import json
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from rainsim.commands import flow
+from rainsim.io.rasters import Raster, read_raster, write_raster
+
+N = 12
+
+
+@pytest.fixture
+def valley(tmp_path):
+    """A valley that falls to the east, as an ESRI ASCII grid; tables of rain, river and weir."""
+    y, x = np.mgrid[:N, : 2 * N].astype(float)
+    bed = 0.05 * np.abs(y - N / 2) - 0.01 * x
+    write_raster(tmp_path / "valley.asc", bed, Raster(bed, 2.0, (100.0, 50.0), ".asc"))
+    (tmp_path / "rain.csv").write_text("time_s,rain_mm_h\n0,60\n20,0\n")
+    (tmp_path / "river.csv").write_text("time_s,m3_s\n0,0\n10,0.5\n60,0.5\n")
+    (tmp_path / "weir.csv").write_text("level_m,m3_s\n-1,0\n0,2\n1,9\n")
+    return bed
+
+
+WORDS = ("valley.asc", "--rain", "rain.csv", "--manning", "0.03",
+         "--discharge", "west:4:8=river.csv", "--rating", "east=weir.csv", "--gauge", "mid=6,12",
+         "--period", "10")  # fmt: skip
+
+
+def table(path):
+    with open(path, newline="") as file:
+        names, *rows = csv.reader(file)
+    return names, np.array(rows, float)
+
+
+def test_tables_become_maps_and_gauges_with_a_closed_account(rainsim, tmp_path, valley):
+    done = rainsim("flow", *WORDS, "--duration", "60", "--out", "out", "--json")
+    assert done.code == 0, done.err
+    told = json.loads(done.out)
+    ledger = told["ledger"]
+    assert ledger["rain"] == pytest.approx(60 / 3.6e6 * 20 * valley.size * 4, rel=1e-6)
+    assert ledger["inflow"] == pytest.approx(0.5 * 55, rel=1e-3)
+    assert ledger["outflow"] > 0 and abs(ledger["residual"]) < 1e-9 and told["steps"] > 10
+    names, rows = table(tmp_path / "out/gauges.csv")
+    assert names == ["time_s", "mid_depth_m", "mid_u_m_s", "mid_v_m_s",
+                     "inflow_discharge_west_m3_s", "inflow_rating_east_m3_s"]  # fmt: skip
+    assert rows[:, 0].tolist() == [0, 10, 20, 30, 40, 50, 60]
+    depth = read_raster(tmp_path / "out/depth.asc")
+    assert depth.spacing == 2 and depth.corner == (100, 50)
+    assert depth.values.sum() * 4 == pytest.approx(ledger["ground"] + ledger["film"], rel=1e-5)
+    assert depth.values[6, 12] == pytest.approx(rows[-1, 1], rel=1e-5)
+    assert depth.values[6].mean() > 2 * depth.values[0].mean()  # rows are not upside down
+
+
+def test_a_stopped_run_goes_on(rainsim, tmp_path, valley, monkeypatch):
+    assert rainsim("flow", *WORDS, "--duration", "60", "--out", "whole").code == 0
+    step, pressed = flow.Run._advance, []
+
+    def stops(run, stop, rain, goes_on):
+        def then(now):
+            if now > 25 and not pressed:
+                pressed.append(now)
+                os.kill(os.getpid(), signal.SIGINT)
+            return goes_on(now)
+
+        return step(run, stop, rain, then)
+
+    monkeypatch.setattr(flow.Run, "_advance", stops)
+    stopped = rainsim("flow", *WORDS, "--duration", "60", "--out", "out")
+    assert stopped.code == 130 and "--resume goes on" in stopped.err
+    assert table(tmp_path / "out/gauges.csv")[1][-1, 0] == 20
+    done = rainsim("flow", *WORDS, "--duration", "60", "--out", "out", "--resume")
+    assert done.code == 0, done.err
+    whole, rows = (table(tmp_path / name / "gauges.csv")[1] for name in ("whole", "out"))
+    np.testing.assert_allclose(rows, whole, rtol=2e-2, atol=1e-4)
+    gauges = tmp_path / "out/gauges.csv"
+    kept = gauges.read_text()
+    gauges.write_text(kept + "7,x\n")
+    broken = rainsim("flow", *WORDS, "--duration", "80", "--out", "out", "--resume")
+    assert broken.code == 1 and "no table of readings" in broken.error
+    gauges.write_text(kept)
+    longer = rainsim("flow", *WORDS, "--duration", "80", "--out", "out", "--resume")
+    assert longer.code == 0 and table(tmp_path / "out/gauges.csv")[1][-1, 0] == 80
+    other = rainsim("flow", *WORDS[:-4], "--manning", "0", "--duration", "90", "--out", "out",
+                    "--resume")  # fmt: skip
+    assert other.code == 2 and "was another" in other.error
+    assert "no friction" in rainsim("flow", "valley.asc", "--duration", "1", "--out", "n").err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["none.asc"], "none.asc"),
+        (["valley.asc", "--spacing", "3"], "cells of 2 m"),
+        (["valley.npy"], "give --spacing"),
+        (["valley.asc", "--depth", "1", "--level", "2"], "leave one out"),
+        (["valley.asc", "--depth", "small.npy"], "3 x 3 cells"),
+        (["valley.asc", "--stage", "up=1"], "edge is 'up'"),
+        (["valley.asc", "--stage", "west:1=1"], "west:8:12=river.csv"),
+        (["valley.asc", "--rating", "west=2"], "no curve"),
+        (["valley.asc", "--open", "all", "--stage", "west=1"], "west edge is open"),
+        (["valley.asc", "--gauge", "a=99,0"], "row 99"),
+        (["valley.asc", "--rain", "river.png"], "river.png"),
+        (["valley.asc", "--rain", "-1"], "rain is -"),
+        (["holes.asc"], "fill the holes"),
+        (["text.txt"], "as many numbers"),
+        (["valley.asc", "--duration", "0"], "must be positive"),
+    ],
+)
+def test_bad_input_ends_in_one_line(rainsim, tmp_path, valley, words, message):
+    np.save("valley.npy", valley)
+    np.save("small.npy", np.ones((3, 3)))
+    (tmp_path / "text.txt").write_text("1 2\n3\n")
+    holes = (tmp_path / "valley.asc").read_text().replace("-9999", "0.05", 1)
+    (tmp_path / "holes.asc").write_text(holes)
+    done = rainsim("flow", *(["--duration", "1"] if "--duration" not in words else []), *words)
+    assert done.code in (1, 2) and message in done.error, done.err
