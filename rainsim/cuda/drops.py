@@ -290,6 +290,40 @@ def _column_of(task, columns):
     return b, columns.first[b, 0] + rest // wide, columns.first[b, 1] + rest % wide
 
 
+class Listed(FrameUniforms):
+    """The interval that is listed, as kernels take it; each `send` blanks "sought".
+
+    Parameters
+    ----------
+    stream : cuda.stream
+    field : RainField
+        Of the weather.
+
+    Attributes
+    ----------
+    columns : Columns
+    field : DropField
+        Of device arrays both.
+    """
+
+    def __init__(self, stream, field):
+        f8, i8, i4 = np.float64, np.int64, np.int32
+        names = {
+            "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
+            "times": ((2,), f8), "slot": ((1,), i4), "sought": ((1,), i4),
+        }  # fmt: skip
+        super().__init__(stream, names | arrays_of(field))
+        self.columns = Columns(*(self[name] for name in Columns._fields))
+        self.field = DropField(*(self[name] for name in DropField._fields))
+        self._taken = None
+
+    def take(self, field):
+        """Set the drops, a RainField."""
+        if field is not self._taken:
+            self._taken = field
+            self.update(**field.arrays()._asdict())
+
+
 class Impacts:
     """The drops that end on a map, listed on a CUDA device; twin of `drops.impacts`.
 
@@ -315,19 +349,13 @@ class Impacts:
     """
 
     def __init__(self, field, surfaces, room, stream=0, slots=1):
-        self.stream, self._listed = stream, None
+        self.stream = stream
         corner, (ny, nx) = np.array([*surfaces.origin, 0.0]), surfaces.shape
         self._corners = corner, corner + np.array([nx, ny, 0.0]) * surfaces.spacing
         f8, i8, i4 = np.float64, np.int64, np.int32
         self.surfaces = sent_surfaces(surfaces, stream)
         self._no_drips = to_device(np.zeros((0, 0), i4), stream), to_device(np.zeros(0, i8), stream)
-        names = {
-            "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
-            "times": ((2,), f8), "slot": ((1,), i4), "sought": ((1,), i4),
-        }  # fmt: skip
-        self.now = FrameUniforms(stream, names | arrays_of(field))  # each `send` blanks "sought"
-        self._columns = Columns(*(self.now[name] for name in Columns._fields))
-        self._field = DropField(*(self.now[name] for name in DropField._fields))
+        self.now = Listed(stream, field)
         self.settled = FrameUniforms(stream, {"times": ((2,), f8), "slot": ((1,), i4)})
         self._fall = to_device(np.ascontiguousarray(-field.velocity[:, 2]), stream)
         many = SOUGHT * room + 2**16  # those near tall things are sought for longer
@@ -347,6 +375,11 @@ class Impacts:
 
         Arguments as `rainsim.drops.impacts` has them.
         """
+        self.settled.update(times=(start, stop), slot=slot)
+        self._set(self.now, field, start, stop, smallest, slot)
+
+    def _set(self, now, field, start, stop, smallest, slot):
+        """Set the interval of a `Listed`."""
         (corner, opposite), duration = self._corners, stop - start
         drift, offset = field.velocity * duration, field.velocity * start
         first, last = field.cube_range(
@@ -354,24 +387,24 @@ class Impacts:
         )
         sides = np.maximum(last - first + 1, 0)
         columns = sides[:, 0] * sides[:, 1] * (field.spectrum.edges[1:] > smallest)
-        self.settled.update(times=(start, stop), slot=slot)
-        self.now.host["counts"][1:] = columns.cumsum()
-        self.now.update(first=first, last=last, times=(start, stop), slot=slot)
-        if field is not self._listed:
-            self._listed = field
-            self.now.update(**field.arrays()._asdict())
+        now.host["counts"][1:] = columns.cumsum()
+        now.update(first=first, last=last, times=(start, stop), slot=slot)
+        now.take(field)
 
-    def launch(self, stream=None):
-        """Queue the listing, on another stream than its own if given."""
-        stream = self.stream if stream is None else stream
-        self.now.send(stream)
-        times, slot, sought = self.now["times"], self.now["slot"], self.now["sought"]
+    def launch(self, stream=None, now=None):
+        """Queue the listing of the interval of `update`, or of that of another `Listed`.
+
+        On another stream than its own if given.
+        """
+        stream, now = self.stream if stream is None else stream, self.now if now is None else now
+        now.send(stream)
+        times, slot, sought = now["times"], now["slot"], now["sought"]
         seek[BLOCKS, THREADS, stream](
-            self._columns, times, slot, self._field, self.surfaces, self.lists.found, sought,
+            now.columns, times, slot, now.field, self.surfaces, self.lists.found, sought,
             self._tasks, self._words,
         )  # fmt: skip
         fill_impacts[BLOCKS, THREADS, stream](
-            self._columns, times, slot, sought, self._tasks, self._words, self._field,
+            now.columns, times, slot, sought, self._tasks, self._words, now.field,
             self.surfaces, *self.lists,
         )  # fmt: skip
 

@@ -259,7 +259,7 @@ class Simulation:
             return
         if self._traffic is not None:
             self.impacts.listed.synchronize()
-            middles = (0.5 * sum(self._interval(index + n)) for n in (1, 2))
+            middles = (0.5 * sum(self._interval(index + n)) for n in (1, 2, 3))
             self._traffic.cover(*middles)
         self.impacts.list_beside()
 

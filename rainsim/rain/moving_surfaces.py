@@ -13,7 +13,7 @@ from rainsim.rain.exposure import computed_exposure
 from rainsim.rain.heightfield import Surfaces
 from rainsim.terrain.types import Grid
 
-AHEAD = ThreadPoolExecutor(2)  # finds what moves at times that are to come
+AHEAD = ThreadPoolExecutor(4)  # finds what moves at times that are to come
 MARGIN = 1.0  # m around an actor in which it thins the rain, besides what the wind adds
 SLOWEST = 4.0  # m/s: drops of 1 mm, the slowest whose paths the exposure follows
 
@@ -48,7 +48,7 @@ class MovingSurfaces:
         self._terrain, self._wind, self._roughness = terrain, wind, roughness
         grid, heights = terrain.grid, (terrain.bed, terrain.top, terrain.underside)
         self.still = Surfaces(grid.spacing, grid.origin, *heights)
-        self._moment = self._coming = None
+        self._moment, self._coming = None, {}
 
     def at(self, time):
         """Return the `Surfaces` at a time [s]."""
@@ -67,17 +67,20 @@ class MovingSurfaces:
         if not self._terrain.footprints:
             return self.still, []
         if self._moment is None or self._moment[0] != time:
-            ahead = self._coming is not None and self._coming[0] == time
-            self._moment = time, *(self._coming[1].result() if ahead else self._found(time))
+            ahead = self._coming.get(time)
+            self._moment = time, *(self._found(time) if ahead is None else ahead.result())
         return self._moment[1:]
 
-    def look_ahead(self, time):
-        """Begin to find `moment(time)` on another thread; return its `Future`.
+    def look_ahead(self, *times):
+        """Begin to find `moment` at some times on other threads; return the `Future` of each.
 
-        The present moment is kept until another is asked for.
+        What was begun for other times is let go. The present moment is kept until another is asked
+        for.
         """
-        self._coming = time, AHEAD.submit(self._found, time)
-        return self._coming[1]
+        self._coming = {
+            time: self._coming.get(time) or AHEAD.submit(self._found, time) for time in times
+        }
+        return list(self._coming.values())
 
     def thinned(self, share, time):
         """Return a share of the rain on the map (ny, nx) with that of actors at a time [s]."""

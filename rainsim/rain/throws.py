@@ -275,22 +275,30 @@ def flown(parcels, age):
     t = v^2 / (g (v + s w)), v the fall speed, w the first speed through the air and s `AIR_DRAG`:
     quadratic drag made linear, so that the path has a closed form.
     """
-    fall = terminal_speed(parcels.diameter)
-    falling = np.column_stack([parcels.wind, -fall])
-    through = np.linalg.norm(parcels.velocity - falling * [1, 1, 0], axis=1)
-    ease = fall**2 / (GRAVITY * (fall + AIR_DRAG * through))
+    falling, own, ease = _flight(parcels)
     gone = -np.expm1(-age / ease)
-    own = parcels.velocity - falling
     place = parcels.start + falling * age[:, None] + own * (ease * gone)[:, None]
     return place, falling + own * (1 - gone)[:, None]
 
 
+def _flight(parcels):
+    """Return the fall in the wind, the first velocity beyond it and t of `flown`."""
+    fall = terminal_speed(parcels.diameter)
+    falling = np.column_stack([parcels.wind, -fall])
+    through = np.linalg.norm(parcels.velocity - falling * [1, 1, 0], axis=1)
+    ease = fall**2 / (GRAVITY * (fall + AIR_DRAG * through))
+    return falling, parcels.velocity - falling, ease
+
+
 def landing_age(parcels):
     """Return how long [s] parcels fly before they come down on the road, at most `FLIGHT`."""
+    falling, own, ease = _flight(parcels)
     low, high = np.zeros(len(parcels.row)), np.full(len(parcels.row), FLIGHT)
+    start, falling, own = parcels.start[:, 2], falling[:, 2].copy(), own[:, 2].copy()
     for _ in range(36):  # to a nanosecond
         middle = 0.5 * (low + high)
-        above = flown(parcels, middle)[0][:, 2] > parcels.road
+        height = start + falling * middle + own * (ease * -np.expm1(-middle / ease))
+        above = height > parcels.road
         low, high = np.where(above, middle, low), np.where(above, high, middle)
     return high
 

@@ -106,7 +106,7 @@ class Conductor:
 
     def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
         self.frame, self._set_up = Frame((*PASSES, *LAYER_PASSES)), Frame(SET_UP)
-        self._coming = None, None, None
+        self._coming, self._coming_on = {}, None
         terrain = with_footprints(tops_drawn(terrain, config), scene)
         self._first_camera = fixed_camera(scene, terrain, config) or first_camera
         self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
@@ -186,8 +186,8 @@ class Conductor:
         if not ground.terrain.footprints:
             return ground.moving.still, ground.rings
         surfaces, shelters = ground.moving.moment(time)
-        if self._coming[0] == time and self._coming[1] is ground:
-            return surfaces, self._coming[2].result()
+        if self._coming_on is ground and time in self._coming:
+            return surfaces, self._coming[time].result()
         return surfaces, self._rings(ground, shelters)
 
     def _rings(self, ground, shelters):
@@ -197,14 +197,16 @@ class Conductor:
             self._ring_reach,
         )  # fmt: skip
 
-    def look_ahead(self, time):
-        """Begin to find where things are at a time [s], and their rings, on other threads."""
+    def look_ahead(self, *times):
+        """Begin to find where things are at some times [s], and their rings, on other threads."""
         if not may_run_beside():
             return
-        ground = self.ground
-        moment = ground.moving.look_ahead(time)
-        rings = AHEAD.submit(lambda: self._rings(ground, moment.result()[1]))
-        self._coming = time, ground, rings
+        ground, known = self.ground, self._coming if self._coming_on is self.ground else {}
+        self._coming, self._coming_on = {}, ground
+        for time, moment in zip(times, ground.moving.look_ahead(*times), strict=True):
+            self._coming[time] = known.get(time) or AHEAD.submit(
+                lambda moment=moment: self._rings(ground, moment.result()[1])
+            )
 
     def set_time(self, time):
         """Take over the settings and the places of what moves of a time [s]."""

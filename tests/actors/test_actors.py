@@ -220,7 +220,7 @@ def test_what_was_found_ahead_is_what_is_found_at_the_time(scene, ground, states
     """The map that drops meet, shelters and rings; also after a time that was not looked for."""
     camera = scene.cameras[0]
     direct, ahead = (Renderer(scene, ground, CONFIG, camera).conductor for _ in range(2))
-    for index, coming in ((0, 1), (1, 3), (2, 3), (3, None)):
+    for index, coming in ((0, (1, 2)), (1, (2, 3)), (2, (1,)), (3, (3,)), (3, ())):
         found = []
         for conductor in (direct, ahead):
             conductor.take(camera, states[index])
@@ -228,8 +228,9 @@ def test_what_was_found_ahead_is_what_is_found_at_the_time(scene, ground, states
             found.append((conductor.frame["rings"], surfaces.top, shelters[0][1]))
         for mine, wanted in zip(*found, strict=True):
             np.testing.assert_array_equal(mine, wanted)
-        if coming is not None:
-            ahead.look_ahead(states[coming].time)
+        if coming:
+            ahead.look_ahead(*(states[number].time for number in coming))
+            assert sorted(ahead._coming) == [states[number].time for number in coming]
     assert not np.array_equal(found[0][0], direct.ground.rings)
 
 

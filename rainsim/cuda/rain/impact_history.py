@@ -6,12 +6,13 @@ Its water falls in one step of the simulation, and its splashes are seen for som
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
 from rainsim.cuda.driver import Event
-from rainsim.cuda.drops import Impacts, room_for
-from rainsim.cuda.graph import Graph
+from rainsim.cuda.drops import Impacts, Listed, room_for
+from rainsim.cuda.graph import Graph, chain
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.errors import BackendError
 from rainsim.particles.splash import LONGEST_LIFE
@@ -51,6 +52,8 @@ class RecentImpacts(Impacts):
         self._newest, self.relisted = None, False
         self._seen, self.fallen = pinned(slots, np.int32), pinned(1, np.int64)
         self.listed, self._recorded = Event(), None
+        # Those that are listed again together have numbers of their own.
+        self._again, self._recorded_again = [], None
 
     def update(self, frame):
         """Say that the frame of this number is next: `launch` then lists the last that it lacks.
@@ -74,13 +77,33 @@ class RecentImpacts(Impacts):
         return (frame + self._ahead) % len(self._seen)
 
     def list_again(self):
-        """List the impacts before the newest interval once more; waits for the device."""
-        self._list_before(self._newest)
-        self._say(self._newest)
+        """Queue the listing of the intervals before the newest once more, on the own stream.
+
+        It is recorded the first time, which waits.
+        """
+        numbers = self._before(self._newest)
+        if not self._again:
+            field = self._weather.field(*self._interval(numbers[0])[0])
+            self._again = [Listed(self.stream, field) for _ in numbers]
+        for now, number in zip(self._again, numbers, strict=True):
+            times, slot = self._interval(number)
+            self._set(now, self._weather.field(*times), *times, 0.0, slot)
+        if self._recorded_again is None:
+            queue = chain([partial(Impacts.launch, self, now=now) for now in self._again])
+            cuda.synchronize()
+            queue()  # compiles; that was the listing itself
+            self._wait()
+            self._recorded_again = Graph(self.stream, queue)
+        else:
+            self._recorded_again.launch()
+
+    def _before(self, newest):
+        """Return the numbers of the intervals that are seen before the newest one."""
+        return range(newest - len(self._seen) + 2, newest)
 
     def _list_before(self, newest):
         cuda.synchronize()
-        for number in range(newest - len(self._seen) + 2, newest):
+        for number in self._before(newest):
             self._say(number)
             super().launch()
             self._wait()

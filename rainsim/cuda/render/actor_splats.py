@@ -11,6 +11,8 @@ from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.particles.spray import flocks_seen
 from rainsim.rain.throws import KnownParcels
 
+FRAMES_AHEAD = 2  # whose map and rings are looked for on other threads
+
 
 class MovingActors:
     """The actors in the scene of a `DeviceFrame`.
@@ -38,22 +40,26 @@ class MovingActors:
 
     def update(self, state):
         """List the copies to the device for the next frame."""
-        if self.heights is not None:
-            self._frame.pending.append(lambda: self._send_moment(state))
-
-    def _send_moment(self, state):
-        """Send the map as actors cover it at the time of a state, and its spray."""
+        if self.heights is None:
+            return
         frame, conductor = self._frame, self._frame.conductor
-        self.heights.send(*conductor.ground.moving.moment(state.time))
-        if frame.passes.rain.impacts is not None:
-            frame.passes.rain.impacts.list_again()
+        moment, spray = conductor.ground.moving.moment(state.time), None
         if self.spray is not None:
-            exposure = conductor.now.render.exposure
-            seen = flocks_seen(
-                state.throws, state.throw_id, conductor.ground_camera, state.time, exposure,
-                self._parcels.of,
-            )  # fmt: skip
-            self.spray.send(*seen, conductor.ground_camera)
-        # The next frame's, if it follows, while the device draws this one.
+            # Found while the device draws the frame before.
+            exposure, camera = conductor.now.render.exposure, conductor.ground_camera
+            spray = *flocks_seen(
+                state.throws, state.throw_id, camera, state.time, exposure, self._parcels.of
+            ), camera  # fmt: skip
+        frame.pending.append(lambda: self._send_moment(moment, spray))
+        # Those that follow, if they do, while the device draws these.
         fps = conductor.config.fps
-        conductor.look_ahead((round(state.time * fps) + 1) / fps)
+        number = round(state.time * fps)
+        conductor.look_ahead(*((number + n) / fps for n in range(1, 1 + FRAMES_AHEAD)))
+
+    def _send_moment(self, moment, spray):
+        """Send the map as actors cover it, see `MovingSurfaces.moment`, and the spray."""
+        self.heights.send(*moment)
+        if (impacts := self._frame.passes.rain.impacts) is not None:
+            impacts.list_again()
+        if spray is not None:
+            self.spray.send(*spray)

@@ -229,15 +229,15 @@ class Traffic:
             self._heights = MovingHeights(self._moving.still, self._footprints, impacts.stream)
             impacts.surfaces, impacts.relisted = self._heights.fields, True
 
-    def cover(self, time, following):
+    def cover(self, time, *following):
         """Let the drops that are listed next meet the map as it is at a time [s].
 
-        That of the `following` time [s] is looked for beside it.
+        Those of the `following` times [s] are looked for beside it.
         """
         self._heights.send(*self._moving.moment(time))
         self._middle = time
         if may_run_beside():
-            self._moving.look_ahead(following)
+            self._moving.look_ahead(*following)
 
     def thin_rain(self):
         """Let less rain reach the ground in the listed interval; return the share that does."""
