@@ -4,44 +4,30 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-
-from rainsim.datasets.data_files import condition
-from rainsim.datasets.reading import stored_card
-from rainsim.io.files import read_json
-from rainsim.io.images import read_image
+from rainsim.datasets.reading import pair_names, read_pair
 
 
 class RainyPairs:
-    """Views of an export in nerfstudio's layout, each in a rain [mm/h] and clear, with labels."""
+    """Views of an export in nerfstudio's layout, each in a rain [mm/h] and clear, with labels.
 
-    def __init__(self, folder, rate, split="train"):
-        stored_card(folder)  # raises if it is no finished data set of the layout
-        self.clear, self.rainy = Path(folder) / "clear", Path(folder) / condition(rate)
-        self.files = read_json(self.rainy / "transforms.json", "cameras")[f"{split}_filenames"]
+    Of a rig `sensor` names the camera whose views count: one batch holds pictures of one size.
+    `rainsim.datasets.reading.read_pair` says what an item holds, `read_turn` reads lidars.
+    """
+
+    def __init__(self, folder, rate, split="train", sensor=None):
+        self.folder, self.rate = folder, rate
+        self.names = pair_names(folder, rate, split, sensor)
 
     def __len__(self):
         """Return the number of pairs."""
-        return len(self.files)
+        return len(self.names)
 
     def __getitem__(self, index):
-        """Return a pair: pictures (3, height, width) from 0 to 1, depth [m], mask and partner."""
-        name = Path(self.files[index]).name
-        partner = self.rainy / "rainsim/clear_air" / name  # with --partners
-        item = {
-            "rainy": _planes(self.rainy / "images" / name),
-            "clear": _planes(self.clear / "images" / name),
-            "depth": read_image(self.rainy / "depths" / name).astype(np.float32) / 1000,
-            "keep": read_image(self.rainy / "masks" / name) > 0,
-        }
-        return item | ({"clear_air": _planes(partner)} if partner.exists() else {})
+        """Return a pair: arrays by name."""
+        return read_pair(self.folder, self.rate, self.names[index])
 
 
-def _planes(path):
-    return np.ascontiguousarray(read_image(path).transpose(2, 0, 1)).astype(np.float32) / 255
-
-
-def main(folder="pairs", rate=50.0, batch=2):
+def main(folder="pairs", rate=50.0, batch=2, sensor=None):
     """Export a few pairs if there are none, load them in batches, and say how rain changes them."""
     from torch.utils.data import DataLoader
 
@@ -49,7 +35,8 @@ def main(folder="pairs", rate=50.0, batch=2):
         command = "export street --layout nerfstudio --views 8 --width 320 --partners".split()
         command += ["--rain", f"0,{rate:g}", "--out", str(folder)]
         subprocess.run([sys.executable, "-m", "rainsim", *command], check=True)
-    for items in DataLoader(RainyPairs(folder, rate), batch_size=batch, shuffle=True):
+    pairs = RainyPairs(folder, rate, sensor=sensor)
+    for items in DataLoader(pairs, batch_size=batch, shuffle=True):
         change = 255 * (items["rainy"] - items["clear"]).abs().mean()
         print(f"{tuple(items['rainy'].shape)}: mean change {change:.1f} of 255")
     return items

@@ -16,6 +16,7 @@ from rainsim.scene.cameras import cameras_from_data
 
 READ_LAYOUT = "nerfstudio"
 HEADER_END = b"end_header\n"
+LABELS = ("class_id", "puddle_id", "actor_id", "labels")  # actors and own ids: where there are any
 
 
 @dataclass(frozen=True)
@@ -102,3 +103,68 @@ def read_points(folder, rate=0.0):
     if f"element vertex {len(rows)}\n".encode() not in header:
         raise InputError(f"{path} does not hold as many points as it says; export again")
     return rows["place"].copy(), rows["color"].copy()
+
+
+def pair_names(folder, rate, split="train", sensor=None):
+    """Return the names of the views of a list, "train", "val" or "test", in a rain [mm/h].
+
+    Of a rig `sensor` names the camera whose views count. Errors are those of `read_views`;
+    ParameterError if the list has no view of the sensor.
+    """
+    stored_card(folder)
+    place = Path(folder) / condition(rate)
+    files = read_json(place / "transforms.json", "cameras")[f"{split}_filenames"]
+    names = [Path(file).stem for file in files]
+    if sensor is None:
+        return names
+    own = [name for name in names if _about(place, name).get("sensor") == sensor]
+    if not own:
+        raise ParameterError(
+            f"sensor is {shown(sensor)}; {folder} has no view of it in {split}; it must be a "
+            "camera of rig.json with views there"
+        )
+    return own
+
+
+def read_pair(folder, rate, name):
+    """Return what was exported of a view in a rain [mm/h] and clear: numpy arrays by name.
+
+    Pictures (3, height, width), float32 from 0 to 1: `rainy`, `clear`, and the partners
+    `clear_air`, `no_glass` and `dry`. Labels (height, width): `depth` [m] along the view axis, 0
+    where unknown, `keep` (bool), and those of LABELS, int32. `lens` is (fx, fy, cx, cy) [px],
+    `camera_from_ground` (4, 4) [m], and of a rig `time` [s]. What was not exported is missing.
+    """
+    place, png = Path(folder) / condition(rate), f"{name}.png"
+    about, beside = _about(place, name), place / FOLDER
+    camera = about["camera"]
+    pair = {
+        "rainy": _planes(place / "images" / png),
+        "clear": _planes(Path(folder) / condition(0) / "images" / png),
+        "depth": read_image(place / "depths" / png).astype(np.float32) / 1000,
+        "keep": read_image(place / "masks" / png) > 0,
+        "lens": np.array([camera[key] for key in ("fx", "fy", "cx", "cy")], np.float32),
+        "camera_from_ground": np.array(camera["camera_from_ground"], np.float32),
+    }
+    if "time_s" in about:
+        pair["time"] = np.float32(about["time_s"])
+    pair |= {kind: _planes(beside / file) for kind, file in about["partners"].items()}
+    kept = (label for label in LABELS if (beside / label / png).exists())
+    return pair | {label: read_image(beside / label / png).astype(np.int32) for label in kept}
+
+
+def read_turn(folder, rate, lidar, number):
+    """Return a turn of a rig's lidar: points (n, 3) [m], ground frame, and their labels (n,)."""
+    beside = Path(folder) / condition(rate) / FOLDER
+    place = require_file(beside / lidar / f"{number:06d}.bin", "points")
+    points = np.fromfile(place, "<f4").reshape(-1, 4)[:, :3]
+    turn = np.array(_about(beside.parent, f"{lidar}_{number:06d}")["ground_from_sensor"])
+    labels = np.fromfile(place.with_suffix(".label"), "<u4")
+    return points @ turn[:3, :3].T + turn[:3, 3], labels
+
+
+def _about(place, name):
+    return read_json(place / FOLDER / f"{name}.json", "what lies beside a view")
+
+
+def _planes(path):
+    return np.ascontiguousarray(read_image(path).transpose(2, 0, 1)).astype(np.float32) / 255
