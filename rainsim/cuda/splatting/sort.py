@@ -53,8 +53,8 @@ class _Sorter:
 class _Typed:
     """An array's type, to compile for.
 
-    The library's own `ProxyArray` has no address, and by that the radix sort takes values for
-    absent ones: it compiles a sort of keys alone (cuda-cccl 1.2.1).
+    The library's own placeholder for an array has no address. For values without an address the
+    library compiles a sort of keys alone (cuda-cccl 1.2.1).
     """
 
     def __init__(self, dtype):
