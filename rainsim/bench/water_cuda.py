@@ -47,7 +47,8 @@ def measure(cells, manning, quick):
     span = span_of(cells, max(STEPS[quick] * SIZES[quick][0] // cells, min(64, STEPS[quick])))
     for _ in range(2):  # compile, then record
         gpu.advance(span)
-    limit = _copies(cells**2 * (CELL_BYTES + ROUGH_BYTES * (manning > 0)), gpu, quick)
+    size = CELL_BYTES + ROUGH_BYTES * (manning > 0)  # bytes a cell
+    limit = _copies(cells**2 * size, gpu, quick)
     rates, steps = [], 0
     for _ in range(ROUNDS[quick]):
         start = time.perf_counter()
@@ -57,7 +58,7 @@ def measure(cells, manning, quick):
         raise DivergedError(f"the water of {cells} x {cells} cells does not stay: {gpu.ledger}")
     return {
         "steps": steps, "rate": float(np.median(rates)), "most": max(rates),
-        "limit": cells**2 / limit, "bytes": CELL_BYTES + ROUGH_BYTES * (manning > 0),
+        "limit": cells**2 / limit, "bytes": size,
     }  # fmt: skip
 
 

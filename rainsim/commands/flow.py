@@ -15,7 +15,6 @@ from rainsim.commands import options
 from rainsim.commands.status import Status
 from rainsim.errors import InputError, ParameterError, require_positive
 
-MM_PER_HOUR = 1 / 3.6e6  # m/s
 SAVE_EVERY = 60.0  # s of the clock, at a reading
 GAUGES, STATE = "gauges.csv", "state.npz"
 MAPS = ("depth", "u", "v")
@@ -119,6 +118,8 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
     """
     status = Status(quiet)
     duration = require_positive("--duration", duration, "s")
+    period = given["period"]
+    period = duration / 100 if period is None else require_positive("--period", period, "s")
     if given["depth"] is not None and given["level"] is not None:
         raise ParameterError("--depth and --level are both given; leave one out")
     files = [bed, *_files_in(given)]
@@ -146,7 +147,7 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
             run.load(duration)
         record.begin()
         record.add(GAUGES, STATE)
-        finished = run.to(duration, given["period"] or duration / 100, rain)
+        finished = run.to(duration, period, rain)
         names = _write_maps(out, ground, solver)
         record.add(*names)
         record.write(complete=finished, time=solver.time, ledger=solver.ledger.as_dict())
@@ -208,7 +209,6 @@ class Run:
 
         Ctrl-C ends the run after a step.
         """
-        require_positive("--period", period, "s")
         solver, saved = self._solver, time.perf_counter()
         with _interrupts() as pressed:
 
@@ -263,6 +263,7 @@ def _files_in(given):
 
 def _solver(ground, bed, given):
     """Return the solver and its rain: a rate [m/s] or a series."""
+    from rainsim.config.rules import MM_PER_HOUR
     from rainsim.grid import WaterSolver
     from rainsim.water.conditions import Discharge, Rating, Stage
     from rainsim.water.inputs import EDGES

@@ -32,7 +32,7 @@ def capability():
     found = ctypes.c_int(), ctypes.c_int(), ctypes.c_int()
     device, *parts = found
     try:
-        driver = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
+        driver = _driver()
         faults = [driver.cuInit(0), driver.cuDeviceGet(ctypes.byref(device), 0)]
         for part, attribute in zip(parts, (_MAJOR, _MINOR), strict=True):
             faults.append(driver.cuDeviceGetAttribute(ctypes.byref(part), attribute, device))
@@ -44,10 +44,14 @@ def capability():
 def has_driver():
     """Return whether NVIDIA's driver is here, without which cuda-cccl compiles nothing."""
     try:
-        ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
+        _driver()
     except OSError:
         return False
     return True
+
+
+def _driver():
+    return ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
 
 
 def versions(capability):

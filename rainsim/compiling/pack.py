@@ -69,11 +69,9 @@ def make(out, entries, progress=None, capabilities=()):
         own = {"NUMBA_CACHE_DIR": work, "NUMBA_DISABLE_INTEL_SVML": "1"}
         own |= shipped.PROCESSOR | {shipped.VARIABLE: shipped.OFF}
         _compile([entry for entry in entries if not on_gpu(entry)], progress, own)
-        on_device = [entry for entry in entries if on_gpu(entry)]
-        if not gpu.has_driver():
-            on_device = [entry for entry in on_device if entry.kernel != SORT]
         for one in capabilities:
-            _compile(on_device, progress, own | {gpu.CAPABILITY: one})
+            device = own | {gpu.CAPABILITY: one}
+            _compile([entry for entry in entries if on_gpu(entry)], progress, device)
         place = Path(work) / NAME
         files = {
             file.relative_to(place).as_posix(): file.read_bytes()
@@ -144,9 +142,11 @@ def main(words=None):
     given = parser.parse_args(words)
     if sys.platform != "linux" or os.uname().machine != "x86_64":
         sys.exit("kernels are packed on Linux on x86-64 alone; run this there")
+    entries = needed((*ALL, *ALL_CUDA))
     if given.capabilities and not gpu.has_driver():
+        entries = [entry for entry in entries if entry.kernel != SORT]
         print(f"without {SORT}: it is compiled where NVIDIA's driver is", file=sys.stderr)
-    path = make(given.out, needed((*ALL, *ALL_CUDA)), _progress, given.capabilities)
+    path = make(given.out, entries, _progress, given.capabilities)
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
-from PIL import Image, TiffImagePlugin  # imageio brings it, and drops a TIFF's tags
 
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.arrays import write_arrays
@@ -181,16 +180,19 @@ def write_tiff(path, values):
 
 
 def write_tagged(path, values, tags):
-    """Write a map of float32 values as a TIFF with tags, a dict of int to numbers or text."""
-    found = TiffImagePlugin.ImageFileDirectory_v2()
-    for tag, numbers in tags.items():
-        found[tag] = numbers
+    """Write a map of float32 values as a TIFF with tags, a dict of int to numbers or text.
+
+    imageio drops tags.
+    """
+    from PIL import Image
+
     picture = Image.fromarray(np.ascontiguousarray(values, np.float32))
-    picture.save(path, tiffinfo=found, compression="tiff_adobe_deflate")
+    picture.save(path, tiffinfo=tags, compression="tiff_adobe_deflate")
 
 
 def tags_of(path):
     """Return the tags of a TIFF, a dict of int to tuple, number or text."""
+    from PIL import Image
 
     def read(path, **how):
         with Image.open(path) as picture:

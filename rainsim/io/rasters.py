@@ -96,7 +96,7 @@ def _from_text(path):
         first += 1
     try:
         rows = [np.array(line.split(), np.float64) for line in lines[first:] if line.strip()]
-        if header and "ncols" in header:  # a row of such a grid may go on in the next line
+        if "ncols" in header:  # a row of such a grid may go on in the next line
             rows = np.concatenate(rows).reshape(int(header["nrows"]), int(header["ncols"]))
         values = np.array(rows)
     except (ValueError, KeyError) as fault:

@@ -109,6 +109,7 @@ def test_a_stopped_run_goes_on(rainsim, tmp_path, valley, monkeypatch):
         (["holes.asc"], "fill the holes"),
         (["text.txt"], "as many numbers"),
         (["valley.asc", "--duration", "0"], "must be positive"),
+        (["valley.asc", "--period", "0"], "--period"),
     ],
 )
 def test_bad_input_ends_in_one_line(rainsim, tmp_path, valley, words, message):
