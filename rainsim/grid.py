@@ -51,6 +51,7 @@ from rainsim.water.water_report import WaterReport
 MAX_SPEED = 1000.0  # m/s, no water on the ground is as fast: the run has diverged
 QUIET_FALL = 0.5  # cells that water may fall from rest in the first step that moves it
 SOURCE_PERIOD = 0.02  # s, rain and losses of shorter steps are booked together
+SAME_END = 1e-12  # relative, within which a call ends where one that was stopped would have
 DECIDE_EVERY = 8  # calls of `advance`, between two looks of "auto" at the water
 
 
@@ -184,7 +185,7 @@ class WaterSolver:
         del free
         u = mean_at_faces(u, h, bed, DRY_DEPTH, axis=1).astype(h.dtype)
         flow.start(u, mean_at_faces(v, h, bed, DRY_DEPTH, axis=0))
-        self._advances = 0
+        self._advances, self._planned = 0, (0.0, 0.0)
         self._has_deposits = False  # drops that no step has taken in yet
         self.settled = False  # whether a step has shown that pressure moves nothing
         self._choose_scheme()
@@ -268,7 +269,8 @@ class WaterSolver:
         rain : float, array_like of shape (ny, nx) or Series [m/s]
         progress : callable, optional
             Called with the time [s] after each step. Where it returns False the solver stops; the
-            time of the report says where, and the next call goes on from there.
+            time of the report says where, and the next call goes on from there: to the same bytes
+            as if it had not stopped, if it has the same end and the same rain.
 
         Returns
         -------
@@ -284,11 +286,23 @@ class WaterSolver:
             self._apply_sources(0.0)
             self.flow.refresh()
             self._has_deposits, self.settled = False, False
-        self._advances += 1
-        if self.flow.moves and self._advances % DECIDE_EVERY == 0:
-            self._choose_scheme()
+        begin, planned = self._planned  # of the call before; beyond the time if it was stopped
+        if planned > self.time and math.isclose(planned, end, rel_tol=SAME_END):
+            end = planned
+        elif end == self.time:
+            begin = end
+        else:
+            begin, self._planned = self.time, (self.time, end)
+            self._advances += 1
+            if self.flow.moves and self._advances % DECIDE_EVERY == 0:
+                self._choose_scheme()
         substeps = 0
-        for stop, rate in rain_pieces(rain, self.time, end):
+        for stop, rate in rain_pieces(rain, begin, end):
+            if stop <= self.time < end:
+                continue
+            if self.sources.unbooked_time > 0.0 and not self.sources.is_rain(rate):
+                self._apply_sources(self.sources.unbooked_time)
+                self.sources.unbooked_time = 0.0
             self.sources.set_rain(rate)
             taken, goes_on = self._advance_to(stop, progress)
             substeps += taken
@@ -311,9 +325,6 @@ class WaterSolver:
             self.time = end if steps == 1 else self.time + left / steps
             self._require_possible_speed()
             if progress is not None and progress(self.time) is False:
-                if self.sources.unbooked_time > 0.0:  # the next call may bring another rain
-                    self._apply_sources(self.sources.unbooked_time)
-                    self.sources.unbooked_time = 0.0
                 return substeps, False
         return substeps, True
 
@@ -377,12 +388,19 @@ class WaterSolver:
         found = read_solver(path, self._made_of(), self._saved())
         self.flow.restore(found)
         self.sources.film[:] = found["film"]
-        self.time, self.sources.unbooked_time, advances, *whether, self.courant = (
+        self.sources.set_rain(found["rain"])
+        self.time, self.sources.unbooked_time, advances, *whether, self.courant, begin, end = (
             found["times"].tolist()
         )  # fmt: skip
+        self._planned = begin, end
         self._advances, (self._has_deposits, self.settled) = int(advances), map(bool, whether)
         for condition, numbers in zip(self.conditions, found["volumes"].tolist(), strict=True):
             condition.volume, condition.flow = numbers
+        ends = np.cumsum([len(condition.rows) for condition in self.conditions])
+        for condition, rises in zip(
+            self.conditions, np.split(found["rises"], ends)[:-1], strict=True
+        ):
+            condition.rises = rises
         self.scheme, self.reason = json.loads(found["choice"])
         self._ledger = Ledger(*found["account"].tolist())
         self._book_standing_water()
@@ -391,11 +409,13 @@ class WaterSolver:
         """Return the arrays that make up the state, by name."""
         times = (
             self.time, self.sources.unbooked_time, self._advances, self._has_deposits,
-            self.settled, self.courant,
+            self.settled, self.courant, *self._planned,
         )  # fmt: skip
         volumes = [[condition.volume, condition.flow] for condition in self.conditions]
         return {
-            **self.flow.saved(), "film": self.sources.film, "times": np.array(times, np.float64),
+            **self.flow.saved(), "film": self.sources.film, "rain": self.sources.rain,
+            "rises": np.concatenate([np.zeros(0), *(c.rises for c in self.conditions)]),
+            "times": np.array(times, np.float64),
             "volumes": np.array(volumes, np.float64).reshape(-1, 2),
             "account": np.array(astuple(self._ledger)),
             "choice": np.array(json.dumps([self.scheme, self.reason])),

@@ -15,7 +15,7 @@ from rainsim.commands import options
 from rainsim.commands.status import Status
 from rainsim.errors import InputError, ParameterError, require_positive
 
-SAVE_EVERY = 60.0  # s of the clock, at a reading
+SAVE_EVERY = 60.0  # s of the clock, after a step
 GAUGES, STATE = "gauges.csv", "state.npz"
 MAPS = ("depth", "u", "v")
 
@@ -186,54 +186,36 @@ class Run:
 
     def load(self, duration):
         """Take the state and the readings of the run that goes on."""
-        import csv
-
         self._solver.load(self._out / STATE)
         if self._solver.time > duration:
             raise ParameterError(
                 f"--duration is {duration:g} s; the run in {self._out} is at "
                 f"{self._solver.time:g} s already; give a longer one"
             )
-        try:
-            with open(self._out / GAUGES, newline="", encoding="utf-8") as file:
-                rows = [[float(x) for x in row] for row in list(csv.reader(file))[1:]]
-        except ValueError:
-            raise InputError(
-                f"{self._out / GAUGES} is no table of readings any more; put it back, or give "
-                "another --out"
-            ) from None
-        self.gauges.rows = [row for row in rows if row[0] <= self._solver.time]
+        self.gauges.load(self._out / GAUGES)
 
     def to(self, duration, period, rain):
         """Go on to `duration` [s] with readings every `period` [s]; return whether it is reached.
 
         Ctrl-C ends the run after a step.
         """
-        solver, saved = self._solver, time.perf_counter()
+        if not self.gauges.rows:
+            self.gauges.read()
+        saved = time.perf_counter()
         with _interrupts() as pressed:
 
             def goes_on(now):
+                nonlocal saved
+                self.steps += 1
                 self._status.progress("flow s", math.floor(now), math.ceil(duration))
-                return not pressed.is_set()
-
-            if not self.gauges.rows:
-                self.gauges.read()
-            while solver.time < duration and not pressed.is_set():
-                number = math.floor(solver.time / period + 1e-9) + 1
-                stop = min(number * period, duration)
-                self.steps += self._advance(stop, rain, goes_on)
-                if solver.time >= stop - 1e-9 * stop:
-                    self.gauges.read()
                 if time.perf_counter() - saved > SAVE_EVERY:
                     self.save()
                     saved = time.perf_counter()
-            self.save()
-        return solver.time >= duration
+                return not pressed.is_set()
 
-    def _advance(self, stop, rain, goes_on):
-        """Take the solver on to a time [s]; return the steps."""
-        solver = self._solver
-        return solver.advance(stop - solver.time, rain, goes_on).substeps
+            self.gauges.run(duration, period, rain, goes_on, begin=0.0)
+        self.save()
+        return self._solver.time >= duration * (1 - 1e-9)
 
     def save(self):
         """Write the state and the readings."""

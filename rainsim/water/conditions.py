@@ -68,7 +68,7 @@ class Condition:
     def reset(self):
         """Begin a new account."""
         self.volume = self.flow = 0.0
-        self._rises = self.passes = np.zeros(len(self.rows))
+        self.rises = self.passes = np.zeros(len(self.rows))
 
     def comes_in(self, start, end, area):
         """Return what comes in from `start` to `end` [s] in each cell of `area` [m2], in m/s."""
@@ -126,7 +126,7 @@ class Stage(Condition):
 
     def comes_in(self, start, end, area):
         """Return what came in over the last step [m/s]."""
-        return np.maximum(self._rises, 0.0)
+        return np.maximum(self.rises, 0.0)
 
     def change(self, depth, start, end, area):
         """Return the depths [m] at which the surface has the level of the time `end` [s]."""
@@ -296,7 +296,7 @@ def apply_conditions(solver, start, end, dry):
         remainder[at] = wanted - h[at]
         now = h[at].astype(np.float64) + remainder[at]
         rise = now - free + passed
-        change, condition._rises = float(rise.sum()) * area, rise / (end - start)
+        change, condition.rises = float(rise.sum()) * area, rise / (end - start)
         condition.volume += change
         condition.flow = change / (end - start)
         came, left = came + max(change, 0.0), left + max(-change, 0.0)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections import Counter
 
 import numpy as np
 
-from rainsim.errors import ParameterError, require_not_negative, require_positive
-from rainsim.io.files import replacing
+from rainsim.errors import InputError, ParameterError, require_not_negative, require_positive
+from rainsim.io.files import read_text, replacing
+from rainsim.water.series import MOST_TABLE
 
 
 class Gauges:
@@ -74,24 +76,36 @@ class Gauges:
         row += [condition.flow for condition in solver.conditions]
         self.rows.append(row)
 
-    def run(self, duration, period, rain=0.0, progress=None):
+    def run(self, duration, period, rain=0.0, progress=None, begin=None):
         """Advance the solver by `duration` [s] with a reading every `period` [s].
 
-        `rain` and `progress` are those of `WaterSolver.advance`; where `progress` returns False the
-        run stops, without a reading of that moment. Returns the last `WaterReport`.
+        Parameters
+        ----------
+        duration, period : float [s]
+        rain, progress
+            See `WaterSolver.advance`. Where `progress` returns False the run stops, without a
+            reading of that moment.
+        begin : float, optional [s]
+            Time when the run began, if it goes on after a stop: duration and period count from
+            it, and all is to the same bytes as without the stop. Now by default.
+
+        Returns
+        -------
+        WaterReport
+            The last.
         """
         require_positive("period", period, "s")
-        begin = self._solver.time
+        solver = self._solver
+        begin, report = solver.time if begin is None else begin, None
         end = begin + require_not_negative("duration", duration, "s")
         count = int(np.ceil((end - begin) / period - 1e-9))
-        report = self._solver.advance(0.0, rain)
-        for n in range(1, count + 1):
+        for n in range(int((solver.time - begin) / period + 1e-9) + 1, count + 1):
             stop = end if n == count else begin + n * period
-            report = self._solver.advance(max(stop - self._solver.time, 0.0), rain, progress)
+            report = solver.advance(max(stop - solver.time, 0.0), rain, progress)
             if report.time < stop - 1e-9 * max(abs(stop), 1.0):
                 break
             self.read()
-        return report
+        return solver.advance(0.0, rain) if report is None else report
 
     def write(self, path):
         """Write all readings as a CSV table with a line of names."""
@@ -99,3 +113,23 @@ class Gauges:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(self.names)
             writer.writerows([[f"{number:.9g}" for number in row] for row in self.rows])
+
+    def load(self, path):
+        """Take the readings that `write` wrote, up to the solver's time.
+
+        Raises
+        ------
+        InputError
+            If the file is no such table, or one of other gauges.
+        """
+        table = list(csv.reader(io.StringIO(read_text(path, "table", MOST_TABLE))))
+        names, *rows = table or [[]]
+        try:
+            rows = [[float(number) for number in row] for row in rows]
+        except ValueError:
+            rows = [[]]
+        if names != self.names or any(len(row) != len(names) for row in rows):
+            raise InputError(
+                f"{path} is no table of readings of these gauges; put it back, or begin a new one"
+            )
+        self.rows = [row for row in rows if row[0] <= self._solver.time]

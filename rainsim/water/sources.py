@@ -51,6 +51,17 @@ class Sources:
             self.rain_sum = float(self._rain.sum(dtype=np.float64))
             self._rain_rate = rain if np.ndim(rain) == 0 else None
 
+    @property
+    def rain(self):
+        """Rain rates, ndarray of shape (ny, nx) [m/s]; a view."""
+        return self._rain[self._flow.inner]
+
+    def is_rain(self, rain):
+        """Whether the map of rain rates [m/s] is that already."""
+        return (np.ndim(rain) == 0 and rain == self._rain_rate) or bool(
+            (self.rain == np.asarray(rain, self._rain.dtype)).all()
+        )
+
     def most_rain(self):
         """Return the largest rate of the rain [m/s]."""
         return float(self._rain.max())

@@ -64,6 +64,40 @@ def test_a_saved_state_goes_on_to_the_same_bytes(scheme, tmp_path):
     assert abs(one.residual) < 1e-5
 
 
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_run_stopped_anywhere_goes_on_to_the_same_bytes(scheme, tmp_path):
+    tide = Series([0, 40], [-0.6, -0.2])
+    rain = Series([0, 7, 31], np.array([20, 90, 0]) / 3.6e6)  # cut into pieces of 1 s
+
+    def begun():
+        solver = made(scheme, conditions=[Stage("north", tide, span=(30, 34))])
+        return solver, Gauges(solver, {"mid": (5, 30)})
+
+    whole, read = begun()
+    read.run(40.0, 3.0, rain)
+    for stop in (0.4, 9.1, 25.3):
+        solver, gauges = begun()
+        gauges.run(40.0, 3.0, rain, lambda now: now < stop)  # noqa: B023
+        assert stop <= solver.time < stop + 2 and len(gauges.rows) == solver.time // 3
+        solver.save(tmp_path / "s.npz")
+        gauges.write(tmp_path / "g.csv")
+        solver, gauges = begun()
+        solver.load(tmp_path / "s.npz")
+        gauges.load(tmp_path / "g.csv")
+        gauges.run(40.0, 3.0, rain, begin=0.0)
+        np.testing.assert_array_equal(solver.depth, whole.depth)
+        assert solver.ledger == whole.ledger and len(gauges.rows) == 14
+        np.testing.assert_allclose(gauges.rows, read.rows, rtol=1e-8, atol=1e-12)
+
+
+def test_a_run_that_goes_on_under_another_rain_has_had_the_first_one():
+    solver, rate = WaterSolver(np.zeros((6, 6)), 0.1), 2e-5
+    solver.set_state(0.5)
+    time = solver.advance(1.0, rate, lambda now: now < 0.3).time
+    ledger = solver.advance(1.0 - time, 0.0).ledger
+    assert time < 1 and ledger.rain == pytest.approx(rate * time * 0.36, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
