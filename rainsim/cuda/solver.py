@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from rainsim.cuda import require
-from rainsim.errors import ParameterError, require_not_negative
+from rainsim.errors import require_not_negative
+from rainsim.water.inputs import field
 from rainsim.water.series import rain_pieces
 
 
@@ -40,25 +43,38 @@ class GpuWaterSolver:
 
         self.water = Water(solver, exposure, capacity, cuda.stream())
         self.time = solver.time
+        ones = np.ones(solver.shape, np.float32)
+        self._exposure = ones if exposure is None else np.asarray(exposure, np.float32)
+        self._falls = self._exposure  # the share of each cell that the device has now
 
     def advance(self, duration, rain=0.0, progress=None):
-        """Advance by `duration` [s] under `rain`, a rate or a `Series` [m/s]; return the steps.
+        """Advance by `duration` [s] under `rain` [m/s]; return the steps.
+
+        `rain` is a rate, a map of rates of shape (ny, nx) or a `Series`.
 
         `progress` is called with the time [s] wherever a series changes and at the end; where it
         returns False the solver stops.
         """
         end, steps = self.time + require_not_negative("duration", duration, "s"), 0
         for stop, rate in rain_pieces(rain, self.time, end):
-            if getattr(rate, "ndim", 0):
-                raise ParameterError(
-                    "rain is a map; on a CUDA device it is one rate or a series; give the map's "
-                    "shape as exposure"
-                )
-            steps += self.water.advance(stop - self.time, require_not_negative("rain", rate, "m/s"))
+            steps += self.water.advance(stop - self.time, self._let_fall(rate))
             self.time = stop
             if progress is not None and progress(stop) is False:
                 break
         return steps
+
+    def _let_fall(self, rain):
+        """Set each cell's share of the rain, a rate or a map [m/s]; return the largest rate."""
+        shape = self.water.shape
+        rain = field("rain", rain, shape)
+        most = float(rain.max())
+        share = self._exposure
+        if most > 0.0 and rain.min() < most:
+            share = (rain / most * share).astype(np.float32)
+        if share is not self._falls:
+            self.water.let_through(share, [slice(0, shape[0])])
+            self._falls = share
+        return most
 
     def deposit(self, rows, columns, volumes):
         """Add drops: `volumes` [m3] into the cells (`rows`, `columns`), arrays of one length."""

@@ -87,8 +87,21 @@ def test_the_solver_alone_takes_a_series_of_rain_as_on_the_cpu():
     assert gpu.ledger.rain == pytest.approx(solver.ledger.rain, rel=1e-6) and gpu.time == 1 / 30
     gpu.advance(1.0, rain, lambda time: False)
     assert gpu.time == 1 / 30 + 1.0  # no change of the rain lies before
-    with pytest.raises(ParameterError, match=r"rain is a map.*exposure"):
-        gpu.advance(0.01, np.zeros(solver.shape))
+    with pytest.raises(ParameterError, match="rain has shape"):
+        gpu.advance(0.01, np.zeros((3, 3)))
+
+
+def test_a_map_of_rain_falls_as_on_the_cpu():
+    solver, _ = basin()
+    solver.set_state(0.01 + 1e-4 * np.random.default_rng(4).random(solver.shape))
+    gpu = GpuWaterSolver(solver, capacity=3)
+    rain = 2e-3 * np.random.default_rng(5).random(solver.shape)
+    for rate in (rain, 1e-5):  # one rate after a map falls everywhere again
+        gpu.advance(0.005, rate)
+        solver.advance(0.005, rate)
+    np.testing.assert_allclose(gpu.depth, solver.depth, atol=1e-7)
+    assert gpu.ledger.rain == pytest.approx(solver.ledger.rain, rel=1e-6)
+    assert solver.ledger.rain == pytest.approx(0.005 * (rain.sum() + 1e-5 * rain.size) * 1e-4)
 
 
 def test_drains_take_what_they_do_on_the_cpu():
