@@ -151,8 +151,11 @@ def with_tracks(ground, tracks):
     """
     if not tracks.size:
         return ground
-    ground = ground.copy()
-    ground[..., Wetness._fields.index("film")] *= tracks.astype(np.float32) / np.float32(255)
+    ground, thinned = ground.copy(), np.flatnonzero(tracks.min(axis=1) < 255)
+    if thinned.size:  # tyres touch few rows of a map
+        rows = slice(thinned[0], thinned[-1] + 1)
+        film = ground[rows, :, Wetness._fields.index("film")]
+        film *= tracks[rows].astype(np.float32) / np.float32(255)
     return ground
 
 

@@ -89,3 +89,16 @@ def test_other_things_are_wetted_by_slanting_rain():
     assert windy.slant_x > 0.5 and windy.slant_y == pytest.approx(0)
     assert wetness.off_ground_wetness(after(0, past=0.0)).supply == 0
     assert wetness.off_ground_wetness(after(400)).supply == 0
+
+
+@pytest.mark.parametrize("rows", [(), (0,), (2, 5), (7,)])
+def test_tyres_thin_the_film_alone_and_only_where_they_rolled(rows):
+    random = np.random.default_rng(1)
+    before, tracks = random.random((8, 5, 4), np.float32), np.full((8, 5), 255, np.uint8)
+    tracks[list(rows), 1:4] = random.integers(0, 255, (len(rows), 3))
+    ground, film = before.copy(), wetness.Wetness._fields.index("film")
+    expected = before.copy()
+    expected[..., film] *= tracks.astype(np.float32) / np.float32(255)
+    np.testing.assert_array_equal(wetness.with_tracks(ground, tracks), expected)
+    np.testing.assert_array_equal(ground, before)
+    assert (expected != before).any() == bool(rows)
