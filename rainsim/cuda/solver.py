@@ -66,7 +66,8 @@ class GpuWaterSolver:
     def _let_fall(self, rain):
         """Set each cell's share of the rain, a rate or a map [m/s]; return the largest rate."""
         shape = self.water.shape
-        rain = field("rain", rain, shape)
+        field("rain", rain, shape)  # checks it
+        rain = np.asarray(rain, np.float64)  # one rate stays one number
         most = float(rain.max())
         share = self._exposure
         if most > 0.0 and rain.min() < most:
