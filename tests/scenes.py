@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import factories
+from rainsim.render.shutter import moved
 from rainsim.scene.types import Camera, GroundFrame, Scene, Splats
 
 DIP_DEPTH, DIP_RADIUS, DIP_CENTRE = 0.010, 0.30, (0.45, -0.35)  # m
@@ -85,6 +86,14 @@ def looking(eye, target, width, height, focal=None, name=""):
     matrix[:3, 3] = -matrix[:3, :3] @ eye
     focal = width / 2 / np.tan(np.radians(30)) if focal is None else focal
     return Camera(width, height, focal, focal, width / 2, height / 2, matrix, name)
+
+
+def walk(scene):
+    """Return the first camera, and where it is a frame later, .4 m to its right."""
+    frame = scene.ground_frame
+    here = frame.camera_in_ground(scene.cameras[0])
+    there = moved(here, 0.4 * here.camera_from_world[0, :3], np.zeros(3))
+    return [scene.cameras[0], frame.camera_in_capture(there)]
 
 
 def _rotation(angle, axis):

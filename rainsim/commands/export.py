@@ -150,9 +150,11 @@ def export(
             f"--lidar is of --layout {' or '.join(SCANNED)}; give one, or leave it out"
         )
     lens, rig = lens_of(given), _rig(given, config, layout)
-    rolls = readout_of(given) or (rig is not None and any(s.readout for s in rig.cameras))
-    if rolls and backend == "cuda":
-        raise ParameterError("rolling shutters are drawn on the CPU only; leave out --backend cuda")
+    if backend == "cuda":
+        from rainsim.sensors.rolling import check_rows
+
+        own = [] if rig is None else [sensor.readout for sensor in rig.cameras]
+        check_rows(max(readout_of(given), *own, 0.0), config)
     require_backend(backend)
     from rainsim.datasets.shots import FLOWS, LABELS
 

@@ -74,6 +74,12 @@ class DeviceState:
         shown.index = index
         return shown
 
+    def shown_at(self, time):
+        """Return this state as what a camera sees at a time [s] of the frame: drops move on."""
+        shown = copy.copy(self)
+        shown.time = time
+        return shown
+
     def _there(self):
         self.simulation.begin(self.step)
         return self.simulation

@@ -86,6 +86,10 @@ class SimState:
         """Return this state as the one that the frame `index` shows."""
         return replace(self, index=index)
 
+    def shown_at(self, time):
+        """Return this state as what a camera sees at a time [s] of the frame: drops move on."""
+        return replace(self, time=time)
+
 
 VERSION = 1
 STATE, STATE_REMEDY = "water state", "`rainsim simulate` writes it; simulate again"

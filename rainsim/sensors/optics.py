@@ -22,7 +22,7 @@ from rainsim.render.shutter import motion_of
 from rainsim.scene.view import slopes
 from rainsim.sensors.glass import Pane, caps_on, pane_window, through_glass, wide_camera
 from rainsim.sensors.lens import Lens, lens_warp
-from rainsim.sensors.rolling import Motion, check_readout, draw_rolling
+from rainsim.sensors.rolling import Motion, check_readout, check_rows, draw_rolling
 from rainsim.shading.composite import encode
 
 MOST_SAMPLES = 256
@@ -78,13 +78,10 @@ class Optics:
         return {"lens": lens_keys(self.lens), "glass": pane, "rolling_s": self.readout,
                 "shutter_samples": self.samples}  # fmt: skip
 
-    def check(self, backend, names, exr):
+    def check(self, backend, names, exr, config):
         """Raise ParameterError if the backend, some layer or an OpenEXR file cannot be had."""
-        host = (self.readout, "--rolling"), (self.pane, "--glass"), (
-            self.samples > 1, "--shutter-samples")  # fmt: skip
-        host = [text for given, text in host if given]
-        if backend == "cuda" and host:
-            raise ParameterError(f"{host[0]} is drawn on the CPU only; leave out --backend cuda")
+        if backend == "cuda":
+            check_rows(self.readout, config)
         if self.readout and exr is not None:
             raise ParameterError(
                 "--rolling has no OpenEXR files: its rows have light and motion of their own; "
@@ -165,7 +162,7 @@ class Taking:
     def __init__(self, optics, cameras, scene, config, names, backend="cpu", exr=None):
         self.optics, self._cameras, self._names = optics, list(cameras), tuple(names)
         self._exr, self._config, self._actors = exr, config, scene.actors
-        optics.check(backend, names, exr)
+        optics.check(backend, names, exr, config)
         self._warps, seen = Warps(), {}
         for camera in self._cameras:  # of each kind one is tried
             own = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
@@ -226,7 +223,7 @@ class Taking:
             begin, end = motion.at(here, after), None
             if not motion.is_still:
                 end = motion.at(here, after + share)
-            at = replace(state, time=state.time + after)
+            at = state.shown_at(state.time + after)
             placed = camera if begin is here else frame.camera_in_capture(begin)
             found = self._picture(renderer, placed, begin, at, end, motion, names)
             for stage, time in found[1].milliseconds.items():

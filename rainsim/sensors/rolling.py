@@ -54,6 +54,20 @@ def check_readout(readout):
         )
 
 
+def check_rows(readout, config):
+    """Raise ParameterError unless all rows of a frame are exposed before the next one begins.
+
+    What falls later a GPU has not listed yet. The readout is in seconds, 0 of a global shutter.
+    """
+    exposure = max(config.at(time).render.exposure for time in config.key_times())
+    if readout and readout + exposure > config.frame_interval:
+        raise ParameterError(
+            f"--rolling and exposure take {(readout + exposure) * 1e3:.3g} ms; with --backend cuda "
+            f"they must end within a frame, {config.frame_interval * 1e3:.3g} ms; take a shorter "
+            "one, a lower --fps, or leave out --backend cuda"
+        )
+
+
 def bands(camera, motion, readout, exposure, rows=ROWS, first_row=0.0, height=None):
     """Yield delay and cameras, as it opens and closes, of each band of a picture from the top down.
 
@@ -83,8 +97,9 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), **options):
     frame, parts = renderer.conductor.wet_scene.frame, []
     exposure = renderer.conductor.config.at(state.time).render.exposure
     for delay, begin, end in bands(camera, motion, readout, exposure, **options):
-        here = replace(state, time=state.time + delay)
-        parts.append(renderer.draw(frame.camera_in_capture(begin), here, end, names))
+        here = state.shown_at(state.time + delay)
+        part, report = renderer.draw(frame.camera_in_capture(begin), here, end, names)
+        parts.append((part.copy(), report))  # a GPU draws the next band in the same memory
     picture = np.concatenate([part for part, _ in parts])
     reports = [report for _, report in parts]
     aovs = {name: np.concatenate([r.aovs[name] for r in reports]) for name in names}

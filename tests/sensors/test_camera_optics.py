@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,15 +13,24 @@ from rainsim.errors import ParameterError
 from rainsim.numerics import srgb
 from rainsim.render.aov import AOVS
 from rainsim.render.report import FrameReport
-from rainsim.render.shutter import moved
 from rainsim.scene.types import Camera, GroundFrame
 from rainsim.sensors.glass import Pane
 from rainsim.sensors.lens import Lens, lens_warp
 from rainsim.sensors.optics import Optics, Taking
-from scenes import moving_scene, tiny_scene
+from scenes import moving_scene, tiny_scene, walk
 
 FRAME = GroundFrame(np.eye(3), 1.0, np.zeros(3), 1.0, ())
 BENT = Lens("opencv", (-0.2, 0.05, 0.0, 0.0))
+
+
+class Moment(NamedTuple):
+    """What a state has here."""
+
+    index: int
+    time: float
+
+    def shown_at(self, time):
+        return self._replace(time=time)
 
 
 class EdgeRenderer:
@@ -55,8 +65,7 @@ def taken(optics, speed, names=("beauty", "depth")):
     scene = SimpleNamespace(actors=(), ground_frame=FRAME)
     renderer = EdgeRenderer(config)
     taking = Taking(optics, cameras, scene, config, names)
-    state = FrameReport(0, 0.0, {}, {})  # has what a state has here, and can be replaced
-    shot = taking.drawn[0], state, None if speed == 0 else cameras[1]
+    shot = taking.drawn[0], Moment(0, 0.0), None if speed == 0 else cameras[1]
     return *next(taking.film(renderer, [shot])), renderer
 
 
@@ -84,14 +93,6 @@ def test_what_stands_still_is_drawn_once():
     sharp, _, once = taken(Optics(), 30.0)
     assert len(once.exposures) == 1
     np.testing.assert_array_equal(picture, sharp)
-
-
-def walk(scene):
-    """Return the first camera, and where it is a frame later, .4 m to its right."""
-    frame = scene.ground_frame
-    here = frame.camera_in_ground(scene.cameras[0])
-    there = moved(here, 0.4 * here.camera_from_world[0, :3], np.zeros(3))
-    return [scene.cameras[0], frame.camera_in_capture(there)]
 
 
 def film(scene, config, optics, names=(), cameras=None):
@@ -197,11 +198,15 @@ def test_rolling_rows_are_those_of_their_time():
     [
         (lambda: Optics(samples=0), "shutter samples is 0"),
         (lambda: Optics(readout=1.0), "at most 200 ms"),
-        (lambda: Optics(samples=4).check("cuda", (), None), "--shutter-samples.*CPU only"),
-        (lambda: Optics(readout=0.02).check("cuda", (), None), "--rolling.*CPU only"),
-        (lambda: Optics(pane=Pane()).check("cuda", (), None), "--glass.*CPU only"),
-        (lambda: Optics(readout=0.01).check("cpu", (), "exr"), "leave out --exr or --rolling"),
-        (lambda: Optics(readout=0.01).check("cpu", ("flow",), None), "no layer flow"),
+        (
+            lambda: Optics(readout=0.04).check("cuda", (), None, settings(fps=24.0)),
+            "--rolling and exposure take .* within a frame, 41.7 ms",
+        ),
+        (
+            lambda: Optics(readout=0.01).check("cpu", (), "exr", settings()),
+            "leave out --exr or --rolling",
+        ),
+        (lambda: Optics(readout=0.01).check("cpu", ("flow",), None, settings()), "no layer flow"),
     ],
 )
 def test_what_cannot_be_had_is_one_line(make, message):

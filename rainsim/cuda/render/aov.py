@@ -37,7 +37,7 @@ class AovReader:
         """
         frame, conductor = self._frame, self._frame.conductor
         inputs, capture = conductor.frame, conductor.wet_scene.capture
-        for name in ("picture", "below", "depth", "clearance"):
+        for name in ("picture", "below", "depth", "clearance", "dazzling"):
             inputs.put(name, frame[name].copy_to_host())
         cover, light = frame.passes.rain.cover(), frame.passes.drop_light
         inputs.put("rain_alpha", cover.rain_alpha)

@@ -15,7 +15,7 @@ from rainsim.drops import RainField, RainSpectrum
 from rainsim.particles.fog import NO_FOG, fog_table
 from rainsim.particles.line_raster import NEAR
 from rainsim.particles.splash import WET_FILM
-from rainsim.particles.streaks import streak_reach
+from rainsim.render.rain_pass import drawn_reach
 from rainsim.shading.composite import RainCover
 
 
@@ -75,9 +75,10 @@ class RainPass:
         if field is None:
             self.streaks.update(self._no_rain, *shutter, NEAR, *lens)
             return NO_FOG
-        key = field, camera.fx, camera.fy, render.exposure, render.streak_far
+        times = render.exposure, render.reach_exposure
+        key = field, camera.fx, camera.fy, *times, render.streak_far
         if key != self._fog_of[0]:
-            reach = streak_reach(field, camera, render.exposure, render.streak_far)
+            reach = drawn_reach(field, camera, render)
             self._fog_of = key, fog_table(field, reach), reach
         _, fog, reach = self._fog_of
         self.streaks.update(field, *shutter, reach, *lens)
