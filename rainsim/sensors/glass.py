@@ -183,33 +183,38 @@ def caps_on(field, pane, camera, seed):
 
 def _settled(place, volume, pane, slope):
     """Return the `Caps` after drops have arrived one by one, flowed together and run off."""
-    angle, kept = pane.contact_angle, len(place)
-    x, y = np.full(kept, np.nan), np.full(kept, np.nan)
-    held, radius = np.zeros(kept), np.zeros(kept)
-    for n in range(len(place)):
-        at, amount = place[n].copy(), volume[n]
+    angle = pane.contact_angle
+    drops, count = np.empty((4, max(len(place), 1))), 0  # x, y, volume, radius of those there now
+    for at, amount in zip(place, volume, strict=True):
+        at = at.copy()
         while True:  # what touches it flows together with it
             own = float(cap_radius(amount, angle))
-            with np.errstate(invalid="ignore"):
-                touch = np.flatnonzero(np.hypot(x - at[0], y - at[1]) < radius + own)
-            if not len(touch):
+            x, y, held, radius = drops[:, :count]
+            touch = np.hypot(x - at[0], y - at[1]) < radius + own
+            if not touch.any():
                 break
             total = amount + held[touch].sum()
             at[0] = (at[0] * amount + (x[touch] * held[touch]).sum()) / total
             at[1] = (at[1] * amount + (y[touch] * held[touch]).sum()) / total
-            amount, x[touch], y[touch], held[touch], radius[touch] = total, np.nan, np.nan, 0, 0
+            amount, count = total, _leave(drops, count, touch)
         if WEIGHT * amount * slope < HOLD * TENSION * 2 * own:
-            x[n], y[n], held[n], radius[n] = at[0], at[1], amount, own
-            continue
-        with np.errstate(invalid="ignore"):  # it runs off and takes along what is below
-            swept = (np.abs(x - at[0]) < own + radius) & (y > at[1])
-        x[swept], y[swept], held[swept], radius[swept] = np.nan, np.nan, 0, 0
-    there = np.isfinite(x)
-    return Caps(np.column_stack([x[there], y[there]]), radius[there], len(place))
+            drops[:, count] = *at, amount, own
+            count += 1
+        else:  # it runs off and takes along what is below
+            count = _leave(drops, count, (np.abs(x - at[0]) < own + radius) & (y > at[1]))
+    x, y, _, radius = drops[:, :count].copy()
+    return Caps(np.column_stack([x, y]), radius, len(place))
+
+
+def _leave(drops, count, gone):
+    """Take drops out of the first `count` columns of a table, in place; return how many stay."""
+    stay = drops[:, :count][:, ~gone]
+    drops[:, : stay.shape[1]] = stay
+    return stay.shape[1]
 
 
 def refracted(rays, point, place, centre, radius, pane):
-    """Return where rays through one cap go on, camera frame.
+    """Return where rays through caps go on, camera frame.
 
     The glass is thin and bends nothing; water begins at the pane's outer side and ends at the cap's
     sphere.
@@ -222,9 +227,9 @@ def refracted(rays, point, place, centre, radius, pane):
         Where they meet the pane.
     place : ndarray of shape (n, 2) [m]
         The same along the pane.
-    centre : ndarray of shape (2,) [m]
-        Of the cap's disc.
-    radius : float [m]
+    centre : ndarray of shape (n, 2) or (2,) [m]
+        Of the disc of each ray's cap.
+    radius : ndarray of shape (n,), or float [m]
     pane : Pane
 
     Returns
@@ -241,12 +246,12 @@ def refracted(rays, point, place, centre, radius, pane):
     water = local / INDEX
     water[:, 2] = np.sqrt(np.maximum(1 - water[:, 0] ** 2 - water[:, 1] ** 2, 0))
     ball = radius / math.sin(pane.contact_angle)
-    start = np.column_stack([place - centre, np.full(len(place), ball * math.cos(
-        pane.contact_angle))])  # from the ball's centre  # fmt: skip
+    high = np.broadcast_to(ball * math.cos(pane.contact_angle), len(place))
+    start = np.column_stack([place - centre, high])  # from the ball's centre
     b = np.einsum("ni,ni->n", start, water)
     way = -b + np.sqrt(np.maximum(b * b - np.einsum("ni,ni->n", start, start) + ball**2, 0))
     leave = start + way[:, None] * water
-    normal = leave / ball
+    normal = leave / np.reshape(ball, (-1, 1))
     cosine = np.einsum("ni,ni->n", normal, water)
     root = 1 - INDEX**2 * (1 - cosine**2)
     out_cosine = np.sqrt(np.maximum(root, 0))
@@ -276,12 +281,10 @@ def through_glass(picture, camera, caps, pane, wide, wide_depth):
     light, share = np.zeros((len(rays), 3)), np.zeros(len(rays))
     linear = (wide / 255.0) ** 2.2
     view = wide_camera(camera)
-    for centre, radius in zip(caps.place, caps.radius, strict=True):
-        inside = np.flatnonzero(((place - centre) ** 2).sum(axis=1) < radius**2)
-        if not len(inside):
-            continue
+    inside, cap = pixels_behind(caps, place, camera, pane)
+    if len(inside):
         out, leave, through = refracted(
-            rays[inside], point[inside], place[inside], centre, radius, pane
+            rays[inside], point[inside], place[inside], caps.place[cap], caps.radius[cap], pane
         )
         light[inside] = looked_up(out, leave, linear, wide_depth, view) * through[:, None]
         share[inside] = 1.0
@@ -294,6 +297,34 @@ def through_glass(picture, camera, caps, pane, wide, wide_depth):
         light = np.stack([fftconvolve(light[..., k], kernel, mode="same") for k in range(3)], -1)
     seen = (picture / 255.0) ** 2.2 * (1 - share[..., None]) + np.maximum(light, 0)
     return np.rint(np.clip(seen, 0, 1) ** (1 / 2.2) * 255).astype(np.uint8), share.astype("f4")
+
+
+def pixels_behind(caps, place, camera, pane):
+    """Return the pixels behind caps and the cap of each, two ndarrays of the same length.
+
+    Only pixels in the box of a cap are looked at. `place` is where their rays meet the pane, (n, 2)
+    [m], row by row.
+    """
+    size = np.array([camera.width, camera.height])
+    corners = caps.place[:, None] + caps.radius[:, None, None] * np.array(
+        [[-1, -1], [-1, 1], [1, -1], [1, 1]]
+    )  # of the square around each disc
+    x, y, ahead = np.moveaxis(corners @ pane.axes()[:2] + (0, 0, pane.distance), -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack(image_point(camera, x, y, ahead), axis=-1)
+    first = np.clip(np.floor(ends.min(axis=1)) - 1, 0, size)
+    last = np.clip(np.ceil(ends.max(axis=1)) + 1, 0, size)
+    whole = (ahead <= 0).any(axis=1)  # the square reaches past the camera
+    first[whole], last[whole] = 0, size
+    place, found = place.reshape(camera.height, camera.width, 2), []
+    number = np.arange(size.prod()).reshape(size[::-1])
+    for (left, top), (right, bottom), centre, radius in zip(
+        first.astype(int), last.astype(int), caps.place, caps.radius, strict=True
+    ):
+        box = slice(top, bottom), slice(left, right)
+        found.append(number[box][((place[box] - centre) ** 2).sum(axis=-1) < radius**2])
+    cap = np.repeat(np.arange(len(found)), [len(pixels) for pixels in found])
+    return np.concatenate([*found, np.zeros(0, int)]), cap
 
 
 def _disc(diameter):

@@ -9,6 +9,7 @@ import pytest
 from rainsim.drops import RainField, RainSpectrum
 from rainsim.errors import ParameterError
 from rainsim.scene.types import Camera
+from rainsim.scene.view import pixel_rays
 from rainsim.sensors.glass import (
     INDEX,
     WIDE_SIDE,
@@ -21,6 +22,7 @@ from rainsim.sensors.glass import (
     on_pane,
     pane_flux,
     pane_window,
+    pixels_behind,
     refracted,
     through_glass,
     wide_camera,
@@ -97,6 +99,24 @@ def bent(x, pane=FLAT, radius=2e-3):
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     place, point = on_pane(rays, pane)
     return rays, *refracted(rays, point, place, np.zeros(2), radius, pane)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.5, -0.6, 1.2])
+def test_pixels_behind_caps_are_those_whose_rays_meet_their_discs(tilt):
+    """Of all pixels and all caps, whatever the pane's tilt and wherever caps reach out."""
+    pane = replace(FLAT, tilt=tilt)
+    rng, rays = np.random.default_rng(8), pixel_rays(CAMERA).reshape(-1, 3)
+    place, _ = on_pane(rays, pane)
+    middle = rng.choice(place[np.isfinite(place[:, 0])], 60) + rng.normal(0, 5e-3, (60, 2))
+    caps = Caps(middle, rng.uniform(2e-4, 6e-3, 60), 60)
+    inside = np.linalg.norm(place[:, None] - caps.place, axis=2) < caps.radius
+    pixels, cap = pixels_behind(caps, place, CAMERA, pane)
+    found = np.zeros_like(inside)
+    found[pixels, cap] = True
+    assert 500 < len(pixels) == found.sum()
+    np.testing.assert_array_equal(found, inside)
+    beside = Caps(np.array([[-9.0, 0.0]]), np.array([1e-3]), 1)
+    assert not len(pixels_behind(beside, place, CAMERA, pane)[0])
 
 
 def test_a_cap_is_a_lens():
