@@ -15,20 +15,17 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
-from rainsim.constants import HALF, ONE, SH_0, ZERO
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, prange
-from rainsim.numerics.srgb import linear
-from rainsim.scene.view import View, slopes
+from rainsim.scene.view import View
 from rainsim.shading.fresnel import reflectance
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met
+from rainsim.shading.lamp_search import BRIGHT, lamps_in
 from rainsim.shading.microfacet import LEAST_DIP, LEAST_RISE, shadowing
 
-BRIGHT = 3.0  # radiance from which on light is a lamp's, in units of the capture's white
 FINE_RESOLUTION = 320.0  # px per unit of tangent of the picture that shows how large lamps are
 WORTH_FINE = 0.10  # share of the level picture's light that is lamps', from which it is drawn
-TILE = 8  # px: larger sources are several
 TRIES = 12  # places of the way from the ground to a lamp at which something may stand in it
 THICK, BEFORE = np.float32(1.0), np.float32(0.15)  # m behind what is seen within which a way ends
 BY_THE_LAMP = np.float32(0.35)  # m from a lamp where its own housing does not count
@@ -45,55 +42,6 @@ class LampView(NamedTuple):
     depth: np.ndarray  # (height, width) float32 [m]
     lens: np.ndarray  # (4,) float32 [px]: fx, fy, cx, cy
     forward: np.ndarray  # (2,) float32, unit: where the axis points to on the ground
-
-
-def lamps_in(picture, depth, camera):
-    """Return the lamps of a level picture as in `LampView`, and the light that they have of all.
-
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, 3), float32
-        Of the level camera mirrored at the ground plane.
-    depth : ndarray of shape (height, width), float32 [m]
-    camera : Camera
-        As `level_camera` returns it.
-    """
-    horizon, none = round(camera.cy), (np.empty((0, 8), np.float32), 0.0)
-    picture, depth = picture[horizon:], depth[horizon:]
-    if not picture.size or picture.max() <= BRIGHT:
-        return none
-    rows, columns = np.nonzero((_brightest(picture) > BRIGHT) & np.isfinite(depth))
-    if not len(rows):
-        return none
-    far, color = depth[rows, columns].astype(np.float64), picture[rows, columns]
-    excess = color * _excess(color)
-    shown = np.zeros((np.ptp(rows) + 3, np.ptp(columns) + 3), bool)
-    inner = rows - rows.min() + 1, columns - columns.min() + 1
-    shown[inner] = True
-    group = ndimage.label(shown, np.ones((3, 3)))[0][inner]
-    rows = rows + horizon
-    tiles = np.stack([group, rows // TILE, columns // TILE], axis=-1)
-    _, which = np.unique(tiles, axis=0, return_inverse=True)
-    count, which = which.max() + 1, which.ravel()
-    right, forward = camera.camera_from_world[0, :3], camera.camera_from_world[2, :3]
-    a, b = slopes(camera, columns + 0.5, rows + 0.5)
-    place = camera.position * (1, 1, -1) + far[:, None] * (forward + a[:, None] * right)
-    place[:, 2] += far * b
-    area = far**2 / (camera.fx * camera.fy) / np.sqrt(1 + a * a + b * b)  # square to the view
-    flux = excess * area[:, None]
-
-    def mean(values):
-        return np.bincount(which, weight * values, count) / np.bincount(which, weight, count)
-
-    weight = flux.sum(axis=1)
-    middle = np.stack([mean(place[:, k]) for k in range(3)], axis=-1)
-    away = place - middle[which]
-    blur = (far / camera.fx) ** 2 / 12  # of a pixel
-    lamps = np.column_stack([
-        middle, *(np.bincount(which, flux[:, k], count) for k in range(3)),
-        mean((away @ right) ** 2 + blur), mean(away[:, 2] ** 2 + blur),
-    ])  # fmt: skip
-    return lamps.astype(np.float32), float(excess.sum() / picture.sum())
 
 
 def lamps_seen(upright, draw_mirrored):
@@ -123,12 +71,6 @@ def scaled(camera, resolution):
         camera, width=width, height=height, fx=resolution, fy=resolution, cx=camera.cx * grow,
         cy=camera.cy * grow,
     )  # fmt: skip
-
-
-def may_shine(splats):
-    """Return whether any of splats is as bright as a lamp, seen from all sides alike."""
-    shown = splats.sh[:, 0].max(initial=-np.inf)
-    return bool(linear(0.5 + SH_0 * np.float64(shown)) > BRIGHT)
 
 
 def without_lamps(picture):

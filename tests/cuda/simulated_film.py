@@ -9,7 +9,7 @@ from rainsim.cuda.shading import wet_ground_mirror as twin
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
 from rainsim.numerics.ripmap import ripmap
 from rainsim.scene.view import View, view_of_arrays
-from rainsim.shading import lamp_images, microfacet, sky, wet_ground_mirror
+from rainsim.shading import lamp_images, lamp_search, microfacet, sky, wet_ground_mirror
 from rainsim.shading.fresnel import SCHLICK
 from rainsim.shading.lamp_images import LampView
 from rainsim.shading.wet_ground_mirror import GroundSlopes, LevelPicture
@@ -77,6 +77,34 @@ def test_field_share_and_picture(pictured, rng, poisoned):
     launch(twin.add_reflection, cover.shape, bare, cover, wanted, STEP, mine)
     np.testing.assert_allclose(mine, laid, atol=1e-6)
     assert abs(laid - bare).max() > 0.05
+
+
+def test_lamps_are_found_as_on_the_cpu(rng, poisoned):
+    """In a picture with room beside it, sky and other things brighter than lamps among them."""
+    width, height, horizon = 61, 45, 5
+    picture = rng.uniform(0, 2, (56, 72, 3)).astype(F4)
+    depth = rng.uniform(3, 30, picture.shape[:2]).astype(F4)
+    bright = rng.random(depth.shape) < 0.06
+    picture[bright] *= 9
+    depth[20:30, 20:25] = np.inf
+    camera = F4([40, 40, 30, 5]), F4([1, 2, -1.5]), F4([0.6, 0.8])
+    share, many = np.full(1, np.nan), np.zeros(1, np.int32)
+    lamps = poisoned((lamp_search.room_for(*depth.shape), 8))
+    search, size, found = twin_lamps.Search(*depth.shape[::-1]), F4([width, height]), (
+        share, many, lamps)  # fmt: skip
+    search.launch((picture, depth), size, horizon, camera, False, found, 0)
+    drawn, sums = (slice(height), slice(width)), np.empty(3)
+    wanted = np.full_like(lamps, np.nan)
+    seen = (np.ascontiguousarray(each[drawn]) for each in (picture, depth))
+    lamp_search.find_lamps(*seen, horizon, *camera, wanted, sums)
+    count = int(sums[0])
+    assert many[0] == count > 40 and share[0] == pytest.approx(sums[1] / sums[2], rel=1e-12)
+    np.testing.assert_array_equal(lamps[:count], wanted[:count])
+    assert np.isnan(lamps[count:]).all()
+    for is_much in (False, True):  # the finer picture counts where lamps have much of the light
+        share[0] = twin_lamps.WORTH_FINE * (1.01 if is_much else 1)
+        search.launch((0 * picture, depth), size, horizon, camera, True, found, 0)
+        assert many[0] == (0 if is_much else count)
 
 
 def test_lamps_are_dimmed_and_mirrored_as_on_the_cpu(rng):

@@ -5,10 +5,10 @@ import pytest
 from numpy import float32 as F4
 
 from rainsim.scene.view import view_of
-from rainsim.shading import lamp_images
 from rainsim.shading.fresnel import SCHLICK
 from rainsim.shading.ground_slopes import GroundSlopes
-from rainsim.shading.lamp_images import LampView, add_lamps, lamps_in, scaled, without_lamps
+from rainsim.shading.lamp_images import LampView, add_lamps, scaled, without_lamps
+from rainsim.shading.lamp_search import BRIGHT, lamps_in
 from rainsim.shading.wet_ground_mirror import level_camera
 from scenes import looking
 
@@ -117,11 +117,11 @@ def test_lamps_are_found_with_their_place_and_flux():
     lamps, share = lamps_in(picture, depth, level)
     area = ball.sum() * (place[0] / level.fx) ** 2 / np.sqrt(1 + 0.08**2 + 0.35**2)
     total = lamps[:, 3:6].sum(axis=0)
-    kept = 1 - lamp_images.BRIGHT / 12.0
+    kept = 1 - BRIGHT / 12.0
     np.testing.assert_allclose(total, np.array([12.0, 6.0, 3.0]) * kept * area, rtol=0.02)
     middle = (lamps[:, :3] * lamps[:, 3:4]).sum(axis=0) / total[0]
     np.testing.assert_allclose(middle, place, atol=0.06)
-    assert 0 < share < 0.3 and without_lamps(picture).max() == pytest.approx(lamp_images.BRIGHT)
+    assert 0 < share < 0.3 and without_lamps(picture).max() == pytest.approx(BRIGHT)
     hue = without_lamps(picture)[ball][0]
     np.testing.assert_allclose(hue / hue[0], (1.0, 0.5, 0.25), rtol=1e-6)
 

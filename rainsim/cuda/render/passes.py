@@ -101,8 +101,9 @@ class Passes:
     # ---- what a finished frame had too little room for
 
     def dry_rasterizers(self):
-        """Return the rasterizers of the pictures that need no water."""
-        return [self._frame.rasterizer, *self.ground_light.rasterizers]
+        """Return what may lack room in pictures that need no water: rasterizers, and `Lamps`."""
+        light = self.ground_light
+        return [self._frame.rasterizer, *light.rasterizers, *light.lamps]
 
     def grow(self):
         """Make room where the finished frame's water and rain lacked it; return whether any did."""

@@ -151,8 +151,6 @@ class LevelView:
 
     Attributes
     ----------
-    rasterizers : list of Rasterizer
-        Empty, or the rasterizer of the splats that stand on the ground.
     size : device array of shape (2,), float32
         Columns and rows that are drawn; the arrays may be larger.
     lamps : Lamps or None
@@ -162,7 +160,7 @@ class LevelView:
     """
 
     def __init__(self, frame, stream, drawn):
-        self._frame, self.rasterizers, self.lamps, self.chunks = frame, [], None, None
+        self._frame, self._rasterizer, self.lamps, self.chunks = frame, None, None, None
         self.size = cuda.to_device(np.zeros(2, np.float32))
         self._lens = cuda.to_device(np.ones(4, np.float32))
         self._uniforms = FrameUniforms(stream, {
@@ -177,9 +175,17 @@ class LevelView:
             else:
                 splats = frame.rasterizer.splats
                 self.chunks = ChunkPicture(paged.standing, splats, lambda: self.rasterizers)
-            self.rasterizers = [Rasterizer(splats, stream, first_room=splats.count)]
+            self._rasterizer = Rasterizer(splats, stream, first_room=splats.count)
             if shines(frame.conductor.wet_scene.scene):
-                self.lamps = Lamps(frame, splats, stream)
+                self.lamps = Lamps(splats, stream)
+
+    @property
+    def rasterizers(self):
+        """That of the splats that stand on the ground, and that of the lamps' finer picture."""
+        if self._rasterizer is None:
+            return []
+        fine = None if self.lamps is None else self.lamps.fine
+        return [self._rasterizer] if fine is None else [self._rasterizer, fine.rasterizer]
 
     def _allocate(self, width, height):
         """Allocate the picture of at most this size, and its ripmap."""
@@ -197,25 +203,26 @@ class LevelView:
 
     def send_colors(self):
         """Send the colours of the splats again, which are the scene's that stand on the ground."""
-        for rasterizer in self.rasterizers:
-            rasterizer.splats.send_colors(self._splats())
+        if self._rasterizer is not None:
+            self._rasterizer.splats.send_colors(self._splats())
 
     def send_actors(self):
         """Send the actors of the present time; the device must draw nothing meanwhile."""
         conductor = self._frame.conductor
         scene, terrain = conductor.wet_scene, conductor.ground.terrain
         actors = scene.capture.actors
-        for rasterizer in self.rasterizers:
-            if not actors.rigid:
-                rasterizer.splats.put_actors(actors.standing(terrain, scene.frame))
-                continue
-            if self._posed is None:
-                self._posed = self._posed_actors(rasterizer.splats, actors.actors, scene.frame)
-            self._posed.put(actors.poses)
-            self._posed.hide(
-                self._upright, self._frame["bed"], self._frame.place, np.float32(STANDING),
-                np.float32(STANDING_OUTSIDE),
-            )  # fmt: skip
+        if self._rasterizer is None:
+            return
+        if not actors.rigid:
+            self._rasterizer.splats.put_actors(actors.standing(terrain, scene.frame))
+            return
+        if self._posed is None:
+            self._posed = self._posed_actors(self._rasterizer.splats, actors.actors, scene.frame)
+        self._posed.put(actors.poses)
+        self._posed.hide(
+            self._upright, self._frame["bed"], self._frame.place, np.float32(STANDING),
+            np.float32(STANDING_OUTSIDE),
+        )  # fmt: skip
 
     def _posed_actors(self, splats, actors, frame):
         turn = frame.rotation * frame.meters_per_unit
@@ -230,39 +237,63 @@ class LevelView:
         """Of the arrays and of the list of lamps, see `cuda.graph.new_version`, a tuple."""
         return self._version, 0 if self.lamps is None else self.lamps.version
 
-    def update(self, camera, camera_in_ground):
-        """Take over the camera of the next picture, in the capture's and in the ground's frame."""
+    def update(self, camera_in_ground):
+        """Take over the camera of the next picture, in the ground's frame."""
         scene, level = self._frame.conductor.wet_scene, level_camera(camera_in_ground)
-        _, mirrored = mirrored_camera(scene.frame.camera_in_capture(level), scene.frame, 0.0)
+        mirrored = self._mirrored(level)
         self._horizon = round(level.cy)
         room = math.ceil(2 * MOST_ASIDE * level.fx), math.ceil((ABOVE + MOST_UP) * level.fx)
         if room != self._room:
             self._room = room
             self._allocate(*room)
+        near, own = scene.capture.near, self._rasterizer
         if self.chunks is not None:
             finer = scene.capture.standing_threshold(mirrored)
-            self.chunks.choose(self._frame.pending, mirrored, scene.capture.near, threshold=finer)
-        for rasterizer in self.rasterizers:
-            rasterizer.update(mirrored, scene.capture.near, room=room)
-            self.size, self._lens = rasterizer.size, rasterizer.lens
+            self.chunks.choose(self._frame.pending, mirrored, near, threshold=finer)
+        own.update(mirrored, near, room=room)
+        self.size, self._lens = own.size, own.lens
         if self.lamps is not None:
-            self.lamps.update(camera, camera_in_ground)
+            self.lamps.room_for(level, *room)
+            if self.lamps.fine is not None:
+                fine, room = self.lamps.fine_camera(level)
+                self.lamps.fine.rasterizer.update(self._mirrored(fine), near, room=room)
+                self._fine_horizon = round(fine.cy)
         view = view_of(scene.frame.camera_in_ground(mirrored))
         self._uniforms.update(turn=view.ground_from_camera, eye=view.eye, forward=level.forward[:2])
 
+    def _mirrored(self, level):
+        """Return the camera of the capture's frame mirrored at the ground plane."""
+        frame = self._frame.conductor.wet_scene.frame
+        return mirrored_camera(frame.camera_in_capture(level), frame, 0.0)[1]
+
     def draw(self, stream):
         """Queue the grading of the picture, whose splats are drawn, and its ripmap."""
+        if self._rasterizer is None:
+            return
         self._uniforms.send(stream)
-        pictures = self._picture, self._depth, self._clearance, self._depth[:0]
-        turn, eye = self._uniforms["turn"], self._uniforms["eye"]
+        pictures = self._picture, self._depth, self._clearance
+        self._grade(self._rasterizer, *pictures, stream)
+        if self.lamps is not None:
+            self._search(stream)
+            self.lamps.dim(self._picture, stream)
         high, wide, _ = self._atlas.shape
         grid = blocks(high // 2, wide), BLOCK, stream
-        for rasterizer in self.rasterizers:
-            grade_layers(self._frame, rasterizer, self._depth.shape, turn, eye, *pictures, stream)
-            if self.lamps is not None:
-                self.lamps.dim(self._picture, stream)
-            halve_widths[grid](self._picture, self.size, self._horizon, self._atlas)
-            halve_heights[grid](self._atlas)
+        halve_widths[grid](self._picture, self.size, self._horizon, self._atlas)
+        halve_heights[grid](self._atlas)
+
+    def _grade(self, rasterizer, picture, depth, clearance, stream):
+        turn, eye = self._uniforms["turn"], self._uniforms["eye"]
+        grade_layers(self._frame, rasterizer, depth.shape, turn, eye, picture, depth, clearance,
+                     depth[:0], stream)  # fmt: skip
+
+    def _search(self, stream):
+        """Queue the search for lamps in the graded picture and, where it is drawn, in the finer."""
+        eye, forward, lamps = self._uniforms["eye"], self._uniforms["forward"], self.lamps
+        seen, camera = (self._picture, self._depth), (self._lens, eye, forward)
+        lamps.search(seen, self.size, self._horizon, camera, stream)
+        if (fine := lamps.fine) is not None:
+            self._grade(fine.rasterizer, fine.picture, fine.depth, fine.clearance, stream)
+            lamps.search_fine(self._fine_horizon, eye, forward, stream)
 
     @property
     def arrays(self):
@@ -298,8 +329,13 @@ class WetGroundLight:
 
     @property
     def rasterizers(self):
-        """That of the level picture, if it is drawn, a list."""
+        """Those of the level picture, if it is drawn, a list."""
         return [] if self.level is None else self.level.rasterizers
+
+    @property
+    def lamps(self):
+        """What finds the lamps in it, a list of one `Lamps` or none."""
+        return [] if self.level is None or self.level.lamps is None else [self.level.lamps]
 
     @property
     def chunks(self):
@@ -316,7 +352,7 @@ class WetGroundLight:
             shape = (-(-n // self._step) for n in self._frame.size)
             self._field = cuda.device_array((*shape, 3), np.float32)
         if self.rasterizers:
-            self.level.update(camera, camera_in_ground)
+            self.level.update(camera_in_ground)
 
     @property
     def queue(self):
@@ -340,7 +376,7 @@ class WetGroundLight:
         )  # fmt: skip
         if self.level.lamps is not None:
             seen = self.level.arrays, self.level.size, self._field
-            self.level.lamps.add(self._step, self._ground, *seen, stream)
+            self.level.lamps.add(self._frame.view, self._step, self._ground, *seen, stream)
 
     def add(self, stream):
         """Queue the sum of the graded picture and the light that its wet ground mirrors."""
