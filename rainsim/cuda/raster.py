@@ -10,6 +10,7 @@ is counted, and a picture with too many is drawn again with more room.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -237,12 +238,12 @@ class Rasterizer:
         self.workspace = Workspace() if workspace is None else workspace
         self._taken = None
 
-    @property
+    @cached_property
     def size(self):
         """Width and height of the picture [px], device array of shape (2,), float32."""
         return self._camera["now"][project.NEAR + 1 : project.NEAR + 3]
 
-    @property
+    @cached_property
     def lens(self):
         """Focal lengths and principal point (fx, fy, cx, cy) [px], device array, float32."""
         return self._camera["now"][project.LENS : project.PLANE]
