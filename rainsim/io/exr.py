@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from rainsim.errors import RainsimError
+from rainsim.errors import InputError, RainsimError
 from rainsim.io.files import replacing
 
 LARGEST_HALF = np.float32(65504)
@@ -27,7 +27,7 @@ def require_exr():
     exr = openexr()
     if exr is None or not hasattr(exr, "Part"):
         raise RainsimError(
-            "--exr was given and OpenEXR 3.3 or later is not installed; it writes the files; "
+            "OpenEXR 3.3 or later is not installed; it reads and writes OpenEXR files (--exr); "
             'pip install "rainsim[exr]"'
         )
 
@@ -79,3 +79,36 @@ def write_parts(path, parts, header, frame_rate):
                 f"{path} could not be written ({fault}); its folder must have room and take files; "
                 "make room, or give another --out"
             ) from None
+
+
+def read_parts(path):
+    """Return the parts of an OpenEXR file by their names, each a pair of channels and header.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    dict of str to (dict, dict)
+        Channels by their names, ndarrays of shape (height, width), float32, and the attributes.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    require_exr()
+    try:
+        with openexr().File(str(path), separate_channels=True) as file:
+            return {
+                part.name(): (
+                    {name: np.float32(each.pixels) for name, each in part.channels.items()},
+                    dict(part.header),
+                )
+                for part in file.parts
+            }
+    except Exception as error:  # the library raises what it likes
+        raise InputError(
+            f"{path} cannot be read as OpenEXR: {str(error).splitlines()[0]}; write it again"
+        ) from None

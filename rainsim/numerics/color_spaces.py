@@ -50,3 +50,14 @@ def from_rec709(space):
     white, new_white = BRADFORD @ own.sum(axis=1), BRADFORD @ other.sum(axis=1)
     adapted = np.linalg.solve(BRADFORD, (new_white / white)[:, None] * BRADFORD)
     return np.linalg.solve(other, adapted @ own)
+
+
+REC709 = SPACES["rec709"].chromaticities
+
+
+def to_rec709(chromaticities):
+    """Return the matrix (3, 3) to linear Rec. 709 from a space of some chromaticities, as a tuple.
+
+    That is x and y of red, green, blue and white, as `ColorSpace` and OpenEXR's headers have them.
+    """
+    return np.linalg.inv(from_rec709(ColorSpace("", "", chromaticities)))

@@ -56,24 +56,44 @@ def test_camera_path(tmp_path):
     assert near != far
 
 
-def test_rain_over_a_plate(tmp_path):
+@pytest.mark.parametrize("space", ["rec709", "acescg"])
+def test_rain_over_a_plate(tmp_path, space):
+    """Over white, over a plate in ACEScg, and none of it behind a plate that is nearer."""
     pytest.importorskip("OpenEXR")
     from rainsim.io.exr import half, write_parts
     from rainsim.io.images import read_image, write_png
+    from rainsim.numerics.color_spaces import SPACES, from_rec709
+
+    def part(name, color, depth, space, alpha=0.5):
+        own = from_rec709(SPACES[space]) @ color
+        channels = dict(zip("RGBAZ", (*own, alpha, depth), strict=True))
+        channels = {k: half(np.full((4, 6), v)) for k, v in channels.items()}
+        return name, channels, {"chromaticities": SPACES[space].chromaticities}
+
+    def over(*plate):
+        load("rain_over_a_plate").main([*map(str, (tmp_path / "exr", "--out", out, *plate))])
+        return read_image(out / "a.0001.png")
+
+    def shown(light):
+        return np.rint(255 * (1.055 * np.array(light) ** (1 / 2.4) - 0.055))
 
     (tmp_path / "exr").mkdir()
-    light = {"R": 0.1, "G": 0.2, "B": 0.0, "A": 0.5}
-    rain = {name: half(np.full((4, 6), value)) for name, value in light.items()}
-    none = {name: np.zeros_like(values) for name, values in rain.items()}
-    parts = {"near": rain, "streaks": none, "spray": none, "splashes": none, "air": rain}
-    parts = [(name, channels, {}) for name, channels in parts.items()]
+    out, rain = tmp_path / "over", (0.1, 0.2, 0.0)
+    names = {"near": 0.5, "streaks": 0, "spray": 0, "splashes": 0, "air": 0.5}
+    parts = [part(n, np.multiply(rain, a / 0.5), 3.0, space, a) for n, a in names.items()]
     write_parts(tmp_path / "exr/a.0001.exr", parts, {}, 24.0)
     write_png(tmp_path / "plate.png", np.full((4, 6, 3), 255, np.uint8))
-    load("rain_over_a_plate").main(tmp_path / "exr", tmp_path / "plate.png", tmp_path / "over")
-    picture = read_image(tmp_path / "over/a.0001.png")
-    light = np.array([0.6, 0.7, 0.5])  # half of white shows through
-    expected = np.rint(255 * (1.055 * light ** (1 / 2.4) - 0.055))
-    assert np.abs(picture - expected).max() <= 1 and picture.shape == (4, 6, 3)
+    picture = over("--plate", tmp_path / "plate.png")
+    assert np.abs(picture - shown((0.6, 0.7, 0.5))).max() <= 1  # half of white shows through
+    assert picture.shape == (4, 6, 3)
+    assert np.abs(over() - shown((0.19, 0.29, 0.09))).max() <= 1
+    for depth, light in ((2.0, (0.4, 0.2, 0.3)), (4.0, (0.3, 0.3, 0.15))):
+        plate = part("beauty", (0.4, 0.2, 0.3), depth, "acescg")
+        write_parts(tmp_path / "plate.exr", [plate], {}, 24.0)
+        assert np.abs(over("--plate", tmp_path / "plate.exr") - shown(light)).max() <= 1
+    write_png(tmp_path / "plate.png", np.full((4, 7, 3), 255, np.uint8))
+    with pytest.raises(SystemExit):
+        over("--plate", tmp_path / "plate.png")
 
 
 def test_solver_on_a_basin(capsys):
