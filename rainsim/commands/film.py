@@ -349,7 +349,7 @@ def _check_before_loading(given, config, video, layers, backend):
     from rainsim.render.aov import parse_names
 
     exr, names = exr_of(given, config.fps, parse_names(layers), start, video)
-    return video, exr, names, optics_of(given, backend, names, exr)
+    return video, exr, names, optics_of(given, backend, names, exr, config)
 
 
 def _check_farm(given):

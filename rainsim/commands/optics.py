@@ -87,7 +87,7 @@ def pane_of(given):
     return Pane(age=age, speed=speed, wiper=given["wiper"])
 
 
-def optics_of(given, backend, names, exr):
+def optics_of(given, backend, names, exr, config):
     """Return the `Optics` of the options, None where they change nothing."""
     lens, readout, pane = lens_of(given), readout_of(given), pane_of(given)
     samples = given["shutter_samples"]
@@ -96,7 +96,7 @@ def optics_of(given, backend, names, exr):
     from rainsim.sensors.optics import Optics
 
     optics = Optics(lens, pane, readout, samples)
-    optics.check(backend, names, exr)
+    optics.check(backend, names, exr, config)
     return optics
 
 

@@ -99,9 +99,12 @@ def read_parts(path):
         If the file cannot be read.
     """
     require_exr()
+    fault = "some part's pixels are missing or damaged"
     try:
+        with openexr().File(str(path), header_only=True) as file:
+            wanted = [(part.name(), len(part.header["channels"])) for part in file.parts]
         with openexr().File(str(path), separate_channels=True) as file:
-            return {
+            found = {
                 part.name(): (
                     {name: np.float32(each.pixels) for name, each in part.channels.items()},
                     dict(part.header),
@@ -109,6 +112,8 @@ def read_parts(path):
                 for part in file.parts
             }
     except Exception as error:  # the library raises what it likes
-        raise InputError(
-            f"{path} cannot be read as OpenEXR: {str(error).splitlines()[0]}; write it again"
-        ) from None
+        found, wanted, fault = {}, None, str(error).splitlines()[0]
+    # The library leaves out a part that is damaged, and only prints a warning.
+    if [(name, len(channels)) for name, (channels, _) in found.items()] != wanted:
+        raise InputError(f"{path} cannot be read as OpenEXR: {fault}; write it again")
+    return found
