@@ -254,7 +254,7 @@ def measure(folder, out, rates=None, steps=3000, most=50_000, seed=0, degree=1, 
     """
     if against not in AGAINST:
         raise ParameterError(f"against is {against!r}; it must be one of {', '.join(AGAINST)}")
-    card, device = stored_card(folder), _device()
+    card = stored_card(folder)
     rates = [r["rain_mm_per_hour"] for r in card["rains"]] if rates is None else rates
     if against == CLEAR_AIR and not any(rates):
         raise ParameterError(f"{folder} has no rain; partners are of rainy pictures; export more")
@@ -262,6 +262,7 @@ def measure(folder, out, rates=None, steps=3000, most=50_000, seed=0, degree=1, 
     some = np.random.default_rng(seed).permutation(len(places))[:most]
     points, table, sheet = (places[some], colors[some]), [], []
     truth = clear = _held_out(folder, read_views(folder, 0)) if against == CLEAR else None
+    device = _device()
     say("mm/h  left out of the loss   PSNR   SSIM   PSNR with fitted tint")
     for rate in rates:
         if against == CLEAR_AIR and rate == 0:
