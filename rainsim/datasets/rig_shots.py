@@ -108,8 +108,8 @@ def offset_notes(rig, layout):
     if layout not in NUMBERED or late[0] == late[-1]:
         return []
     return [
-        f"WARNING: the rig's sensors begin {late[0]:g} to {late[-1]:g} ms after the path's cameras; "
-        f"one number of {layout} holds them all, and calib is right for one time alone: "
+        f"WARNING: the rig's sensors begin {late[0]:g} to {late[-1]:g} ms after the path's "
+        f"cameras; a number of {layout} is that of all, and calib is right for one time alone: "
         "rainsim/NAME.json has each one's own place; give equal offsets, or read that"
     ]
 
