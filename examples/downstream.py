@@ -34,16 +34,12 @@ def export(out, scene, rates, views, width, height, more):
 
 def main(out=None, scene="bicycle", rates=RATES, views=48, width=324, height=216,
          more=("--fps", "2"), against=CLEAR, **training):  # fmt: skip
-    """Print the table; save it as table.json with a sheet of one held-out view, downstream.png.
-
-    Without `out` it and `against` are those of the command line.
-    """
+    """Print the table; save it as table.json with a sheet of one held-out view, downstream.png."""
     if out is None:
-        typed = typed_words().parse_args()
-        out, against = typed.out, typed.against
+        out, against = vars(typed_words().parse_args()).values()
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    more = (*more, *(("--partners",) if against != CLEAR else ()))
+    more = more if against == CLEAR else (*more, "--partners")
     folder = export(out, scene, rates, views, width, height, more)
     return measure(folder, out, against=against, **training)
 
@@ -52,9 +48,7 @@ def typed_words():
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", default="downstream", help="folder; another for each --against")
-    parser.add_argument(
-        "--against", choices=AGAINST, default=CLEAR, help="held-out views to judge by"
-    )
+    parser.add_argument("--against", choices=AGAINST, default=CLEAR, help="what is judged by")
     return parser
 
 
