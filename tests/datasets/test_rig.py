@@ -138,7 +138,7 @@ def test_points_of_the_lidar_have_the_depths_of_each_camera(drawn):
     places = places[cloud.cloud[1] >> 16 == 0]  # what stands
     for name in ("left_000000", "right_000000", "side_000000"):
         sample = found[0.0, name]
-        assert np.median(depth_off(sample, places)) < 0.015
+        assert np.median(depth_off(sample, places)) < 0.006
         lifted = np.median(depth_off(sample, places + np.array([0, 0, 0.05])))
         assert lifted > 0.03, "a lidar that is 5 cm too high is found out"
 
@@ -157,7 +157,7 @@ def test_kittis_projections_and_boxes_are_of_one_frame(drawn):
         depth = found[0.0, name].depth
         inside = (column >= 0) & (row >= 0) & (column < 128) & (row < 96)
         off = np.abs(w[inside] / depth[row[inside], column[inside]] - 1)
-        assert inside.sum() > 50 and np.median(off) < 0.015
+        assert inside.sum() > 50 and np.median(off) < 0.006
     baseline = (rows["P3"] - rows["P2"])[3] / rows["P2"][0]
     assert baseline == pytest.approx(-0.06)
     # The same thing at the same time has the same place in all cameras' boxes.
