@@ -2,8 +2,10 @@
 
 Trains the same splats (same points, seed and steps) on a data set's clear pictures and on those of
 each rain, on all pixels and with those left out of the loss that drops or also puddles spoil, and
-compares with held-out clear views. Needs torch; on a GPU gsplat draws, without one a plain renderer
-that suits only tiny pictures. `examples/downstream.py` exports the data set and calls `measure`.
+compares with held-out clear views, or with held-out views in clear air in the light of the rain,
+which parts what falls from light and wet ground. Needs torch; on a GPU gsplat draws, without one a
+plain renderer that suits only tiny pictures. `examples/downstream.py` exports the data set and
+calls `measure`.
 """
 
 from __future__ import annotations
@@ -33,6 +35,8 @@ DSSIM = 0.2  # share of 1 - SSIM in the loss
 FIRST_OPACITY = 0.1
 NEIGHBOURS = 3  # whose mean distance is a splat's first size
 MASKS = ("nothing", "drops", "drops, water")  # what is left out of the loss
+WHAT_FALLS = "what falls"  # is not in the pictures: the rain's partners in clear air
+CLEAR, CLEAR_AIR = AGAINST = "clear", "clear_air"  # held-out pictures that splats are judged by
 ACROSS = 4  # pictures of a row of downstream.png
 RIM = 5  # px, half the window of SSIM
 NEAR, LOW_PASS, LEAST_ALPHA, MOST_ALPHA = 0.05, 0.3, 1 / 255, 0.999
@@ -213,14 +217,15 @@ def judge(splats, views):
     return np.mean(rows, axis=0), pictures
 
 
-def measure(folder, out, rates=None, steps=3000, most=50_000, seed=0, degree=1, say=print):
-    """Train on each rain of a data set, judge by its clear held-out views, and return the rows.
+def measure(folder, out, rates=None, steps=3000, most=50_000, seed=0, degree=1, against=CLEAR,
+            say=print):  # fmt: skip
+    """Train on each rain of a data set, judge by its held-out views, and return the rows.
 
     Parameters
     ----------
     folder : path-like
-        A finished data set in nerfstudio's layout, see `rainsim.datasets.reading`, with clear
-        pictures and held-out views.
+        A finished data set in nerfstudio's layout, see `rainsim.datasets.reading`, with held-out
+        views, and with clear pictures or partners.
     out : Path
         Where table.json and downstream.png go: the first held-out view and what is trained for it.
     rates : sequence of float [mm/h], optional
@@ -231,6 +236,10 @@ def measure(folder, out, rates=None, steps=3000, most=50_000, seed=0, degree=1, 
     seed : int
     degree : int
         Of the colours' harmonics; without a GPU it must be 0.
+    against : {"clear", "clear_air"}
+        Judge by the clear pictures, or by each rain's partners `clear_air`: those have its light
+        and its wet ground, so that what is lost is lost by what falls alone. Then each rain has a
+        row that is trained on its partners, and 0 mm/h has none.
     say : callable
         Called with each line of the table.
 
@@ -241,39 +250,59 @@ def measure(folder, out, rates=None, steps=3000, most=50_000, seed=0, degree=1, 
     Raises
     ------
     ParameterError
-        If torch is not installed, or on a GPU gsplat, or no view is held out.
+        If torch is not installed, or on a GPU gsplat, no view is held out, or partners are missing.
     """
-    card, clear = stored_card(folder), [view for view in read_views(folder, 0) if view.held_out]
-    if not clear:
-        raise ParameterError(
-            f"{folder} holds out none of its {len(card['views'])} views; it must hold out one or "
-            "more to judge by; export it again with more --views or another --hold-out"
-        )
-    device = _device()
+    if against not in AGAINST:
+        raise ParameterError(f"against is {against!r}; it must be one of {', '.join(AGAINST)}")
+    card = stored_card(folder)
     rates = [r["rain_mm_per_hour"] for r in card["rains"]] if rates is None else rates
+    if against == CLEAR_AIR and not any(rates):
+        raise ParameterError(f"{folder} has no rain; partners are of rainy pictures; export more")
     places, colors = read_points(folder)
     some = np.random.default_rng(seed).permutation(len(places))[:most]
-    points, table, sheet = (places[some], colors[some]), [], [clear[0].picture]
+    points, table, sheet = (places[some], colors[some]), [], []
+    truth = clear = _held_out(folder, read_views(folder, 0)) if against == CLEAR else None
+    device = _device()
     say("mm/h  left out of the loss   PSNR   SSIM   PSNR with fitted tint")
     for rate in rates:
-        given = [view for view in read_views(folder, rate) if not view.held_out]
-        for left_out in MASKS if rate else MASKS[:1]:
-            masks = masks_of(folder, given, left_out)
+        if against == CLEAR_AIR and rate == 0:
+            continue
+        views = read_views(folder, rate)
+        trained = [(views, name) for name in (MASKS if rate else MASKS[:1])]
+        if against == CLEAR_AIR:
+            partners = read_views(folder, rate, CLEAR_AIR)
+            truth = _held_out(folder, partners)
+            trained.insert(0, (partners, WHAT_FALLS))
+        if clear is None or not sheet:
+            sheet.append(truth[0].picture)
+        for source, left_out in trained:
+            given = [view for view in source if not view.held_out]
+            masks = masks_of(folder, given, MASKS[0] if left_out == WHAT_FALLS else left_out)
             share = 1 - float(np.mean([mask.mean() for mask in masks]))
             splats = train(given, points, masks, seed, steps, degree, device)
-            (db, same, fitted), pictures = judge(splats, clear)
+            (db, same, fitted), pictures = judge(splats, truth)
             say(f"{rate:4g}  {left_out:12} ({share:5.1%})   {db:5.2f}  {same:.3f}  {fitted:5.2f}")
             table.append({"mm_per_hour": rate, "left_out": left_out, "share": share, "psnr": db,
                           "ssim": same, "psnr_fitted_tint": fitted})  # fmt: skip
             sheet.append(pictures[0])
-    facts = {"scene": card["scene"], "views": len(card["views"]), "held_out": len(clear),
+    facts = {"scene": card["scene"], "views": len(card["views"]), "held_out": len(truth),
              "width": card["width"], "steps": steps, "splats": len(some), "seed": seed,
-             "degree": degree, "device": device, "rows": table}  # fmt: skip
+             "degree": degree, "device": device, "against": against, "rows": table}  # fmt: skip
     write_json(out / "table.json", facts)
     sheet += [np.zeros_like(sheet[0])] * (-len(sheet) % ACROSS)
     rows = [np.concatenate(sheet[k : k + ACROSS], axis=1) for k in range(0, len(sheet), ACROSS)]
     write_png(out / "downstream.png", np.concatenate(rows))
     return table
+
+
+def _held_out(folder, views):
+    found = [view for view in views if view.held_out]
+    if not found:
+        raise ParameterError(
+            f"{folder} holds out none of its {len(views)} views; it must hold out one or more to "
+            "judge by; export it again with more --views or another --hold-out"
+        )
+    return found
 
 
 def _device():

@@ -282,9 +282,10 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given, rig=None):
         every = usual_hold_out(len(cameras))
     check_hold_out(every, len(cameras), layout)
     if rig is not None:
-        from rainsim.datasets.rig_shots import rig_views
+        from rainsim.datasets.rig_shots import offset_notes, rig_views
 
-        views, turns = rig_views(rig, cameras, config.fps)
+        status.notes(offset_notes(rig, layout))
+        views, turns = rig_views(rig, cameras, config.fps, layout)
     else:
         named = zip(safe_names(cameras), cameras, strict=True)
         views = [View(k, name, camera, lens) for k, (name, camera) in enumerate(named)]

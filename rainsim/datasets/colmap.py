@@ -81,7 +81,8 @@ def observations(plan, view, depth):
     x, y, z = camera_points(camera, plan.points.astype(np.float64)).T
     ahead = z > NEAREST
     x, y = (np.where(ahead, part / np.where(ahead, z, 1), 0) for part in (x, y))
-    near = ahead & (np.hypot(x, y) < WIDEST)  # beyond it a lens may fold back
+    reach = WIDEST if view.lens is None else view.lens.reach
+    near = ahead & (np.hypot(x, y) < reach)
     x, y = (x, y) if view.lens is None else view.lens.distort(x, y)
     u, v = image_point(camera, x, y, 1.0)
     inside = near & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)

@@ -35,23 +35,31 @@ class StoredView:
     held_out: bool  # to test or to validate, not to train on
 
 
-def read_views(folder, rate):
+def read_views(folder, rate, partner=None):
     """Return the views of one rain of a data set, `StoredView`s in their order.
 
     `rainsim export --layout nerfstudio` wrote the folder; a rate [mm/h] of 0 gives the clear
-    pictures. InputError if the folder holds no finished data set of this layout, or a file is
-    damaged; ParameterError if the data set has no such rain.
+    pictures, a `partner` of `sample.PARTNERS` those of the rain's partner, with the rain's labels.
+    InputError if the folder holds no finished data set of this layout, or a file is damaged;
+    ParameterError if the data set has no such rain or partner.
     """
     card = stored_card(folder)
     rates = [rain["rain_mm_per_hour"] for rain in card["rains"]]
     if rate not in rates:
         known = ", ".join(f"{r:g}" for r in rates)
         raise ParameterError(f"the rain is {rate:g} mm/h; {folder} has {known}; take one of them")
-    place = Path(folder) / condition(rate)
+    place, pictures = Path(folder) / condition(rate), "images"
     data = read_json(place / "transforms.json", "a camera file")
     cameras = cameras_from_data(data, place / "transforms.json")
+    if partner is not None:
+        if rate == 0 or partner not in card.get("partners", ()):
+            raise ParameterError(
+                f"{folder} has no partner {partner} at {rate:g} mm/h; partners are of rainy "
+                "pictures; export it again with --partners"
+            )
+        pictures = f"{FOLDER}/{partner}"
     return [
-        _view(place, frame, camera, frame["file_path"] not in data["train_filenames"])
+        _view(place, pictures, frame, camera, frame["file_path"] not in data["train_filenames"])
         for frame, camera in zip(data["frames"], cameras, strict=True)
     ]
 
@@ -76,8 +84,8 @@ def stored_card(folder):
     return card
 
 
-def _view(place, frame, camera, held_out):
-    picture = read_image(place / frame["file_path"])
+def _view(place, pictures, frame, camera, held_out):
+    picture = read_image(place / pictures / Path(frame["file_path"]).name)
     depth = read_image(place / frame["depth_file_path"])
     keep = read_image(place / frame["mask_path"])
     name = Path(frame["file_path"]).stem

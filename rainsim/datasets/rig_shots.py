@@ -70,16 +70,18 @@ def check_rig(rig, layout):
         )
 
 
-def rig_views(rig, path, fps):
+def rig_views(rig, path, fps, layout=None):
     """Return the views and the `Turn`s of a rig that follows a path.
 
     `path` are cameras in the ground frame, one every 1/`fps` seconds. A camera's pictures follow
-    one another, then come the next camera's.
+    one another, then come the next camera's. In a layout with one number for all sensors each has
+    as many as the one with the fewest, so that no number lacks a picture or a cloud.
     """
     seconds = len(path) / Fraction(fps).limit_denominator(1000)
     views, turns = [], []
+    fewest = min(sensor.count(seconds) for sensor in rig.sensors)
     for sensor in (*rig.cameras, *rig.lidars):
-        for frame in range(sensor.count(seconds)):
+        for frame in range(fewest if layout in NUMBERED else sensor.count(seconds)):
             time = sensor.time(frame)
             place = rig.place(path, fps, float(time)) @ sensor.vehicle_from_sensor
             name, index = f"{sensor.name}_{frame:06d}", len(views) + len(turns)
@@ -98,6 +100,18 @@ def rig_views(rig, path, fps):
                 "the rig"
             )
     return tuple(views), tuple(turns)
+
+
+def offset_notes(rig, layout):
+    """Return a warning, in a list, if one number of a layout holds sensors of different times."""
+    late = sorted(float(sensor.offset) * 1e3 for sensor in rig.sensors)
+    if layout not in NUMBERED or late[0] == late[-1]:
+        return []
+    return [
+        f"WARNING: the rig's sensors begin {late[0]:g} to {late[-1]:g} ms after the path's "
+        f"cameras; a number of {layout} is that of all, and calib is right for one time alone: "
+        "rainsim/NAME.json has each one's own place; give equal offsets, or read that"
+    ]
 
 
 class RigShots:

@@ -3,7 +3,8 @@
 After its tools (semantic-kitti-api: generate_sequential.py, auxiliary/laserscan.py), which take the
 folder of a rain as the data set: sequences/00 has velodyne/000000.bin, labels/000000.label,
 image_2/000000.png, poses.txt of the camera, relative to the first, calib.txt with Tr from the
-lidar's axes to the camera's, and times.txt.
+lidar's axes to the camera's, and times.txt. The poses are in poses/00.txt, too, where KITTI's
+odometry benchmark has them and pykitti 0.3.1 looks for them.
 """
 
 from __future__ import annotations
@@ -39,9 +40,11 @@ def plan_files(plan, folder):
     first = [view for view in plan.views if is_first(view, plan)]
     seconds = [v.index * plan.interval if plan.rig is None else v.time for v in first]
     times = "".join(f"{second:.6e}\n" for second in seconds)
+    way = poses(plan.views)
     for rate in plan.rates:
-        for name, text in (("calib", calib), ("poses", poses(plan.views)), ("times", times)):
+        for name, text in (("calib", calib), ("poses", way), ("times", times)):
             yield DataFile(f"{_sequence(rate)}/{name}.txt", TEXT, text)
+        yield DataFile(f"{condition(rate)}/poses/00.txt", TEXT, way)
 
 
 def _sequence(rate):

@@ -68,6 +68,8 @@ def split_note(views, layout):
     wanted = f"give --hold-out {usual_hold_out(moments)}"
     if moments < LEAST_VIEWS:
         wanted = f"take {LEAST_VIEWS} views or more"
+        if moments < count:  # a rig has several pictures of each
+            wanted += f" of the path, which has {moments}"
     elif empty == ["train"]:
         wanted = "give a greater --hold-out"
     hold = "holds" if len(empty) == 1 else "hold"

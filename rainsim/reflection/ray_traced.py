@@ -130,7 +130,7 @@ class Tracer:
         return sum(a.nbytes for a in self.tree[:4])
 
     def trace(self, origin, direction, before=0.0, pixel=0.0, segment=1.0, plane=None,
-              color_eye=None):  # fmt: skip
+              color_eye=None, stop=TRANSMITTANCE_STOP):  # fmt: skip
         """Trace rays through the splats; return blended colour, distance and normal as `Traced`.
 
         Parameters
@@ -149,6 +149,8 @@ class Tracer:
             a x + b y + c z < d are left out.
         color_eye : array_like of shape (3,), optional
             Where colours are seen from; by default from each ray's own virtual eye.
+        stop : float
+            Transmittance at which a ray ends: what lies behind counts in no mean.
 
         Returns
         -------
@@ -167,7 +169,7 @@ class Tracer:
         eye = np.full(3, np.nan) if color_eye is None else np.asarray(color_eye)
         _trace(
             np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(direction, np.float32),
-            before, pixel, np.float32(segment), cut,
+            before, pixel, np.float32(segment), np.float32(stop), cut,
             eye.astype(np.float32), self.tree, out.color, out.alpha, out.distance,
             out.plane_distance, out.normal, out.hits,
         )  # fmt: skip
@@ -176,7 +178,7 @@ class Tracer:
 
 @cpu_kernel
 def _trace(
-    origin, direction, before, pixel, segment, plane, color_eye, tree: SplatTree, color_out,
+    origin, direction, before, pixel, segment, stop, plane, color_eye, tree: SplatTree, color_out,
     alpha_out, distance_out, plane_out, normal_out, hits_out,
 ):  # fmt: skip
     """Trace each ray, segment after segment, until it is stopped or leaves the scene."""
@@ -193,7 +195,7 @@ def _trace(
         n0, n1, n2, flat = ZERO, ZERO, ZERO, ZERO
         begin, size, blended = ZERO, segment, 0
         last = farthest(tree.box[0], ray)
-        while begin < last and clear > TRANSMITTANCE_STOP:
+        while begin < last and clear > stop:
             end = begin + size
             count = collect(tree, ray, plane, begin, end, stack, hit, place, weight)
             if count < 0:
@@ -218,7 +220,7 @@ def _trace(
                 flat += w_ * (r[9] * (r[0] - o0) + r[10] * (r[1] - o1) + r[11] * (r[2] - o2))
                 clear -= w
                 blended += 1
-                if clear <= TRANSMITTANCE_STOP:
+                if clear <= stop:
                     break
             begin = end
             size *= GROWTH

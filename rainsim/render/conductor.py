@@ -6,6 +6,7 @@ Both backends have a `Conductor` and draw with the `Frame` that it fills.
 from __future__ import annotations
 
 import math
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -107,6 +108,7 @@ class Conductor:
     def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
         self.frame, self._set_up = Frame((*PASSES, *LAYER_PASSES)), Frame(SET_UP)
         self._coming, self._coming_on = {}, None
+        self._common_rings = None
         terrain = with_footprints(tops_drawn(terrain, config), scene)
         self._first_camera = fixed_camera(scene, terrain, config) or first_camera
         self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
@@ -186,9 +188,25 @@ class Conductor:
         if not ground.terrain.footprints:
             return ground.moving.still, ground.rings
         surfaces, shelters = ground.moving.moment(time)
+        if self._common_rings is not None:
+            return surfaces, self._common_rings
         if self._coming_on is ground and time in self._coming:
             return surfaces, self._coming[time].result()
         return surfaces, self._rings(ground, shelters)
+
+    @contextmanager
+    def bands_of(self, camera, time):
+        """Draw within the block bands of one picture, of a camera of the ground frame.
+
+        Where rings run and what wet ground mirrors is the same for all, as at a time [s].
+        """
+        self._common_rings = self._moment(time)[1]
+        self.ground.film.share_level(camera)
+        try:
+            yield
+        finally:
+            self._common_rings = None
+            self.ground.film.share_level(None)
 
     def _rings(self, ground, shelters):
         """Return the amplitude of rings on each cell of a part of the ground with shelters."""

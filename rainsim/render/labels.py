@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
+from rainsim.numerics.blocks import in_blocks
 from rainsim.reflection import water_record
 from rainsim.scene.types import Camera
 from rainsim.scene.view import image_point, pixel_rays, rays
@@ -22,6 +23,7 @@ from rainsim.water.puddles import WET
 
 # Values of the AOV flow_mask.
 NO_FLOW, SEEN, OCCLUDED, OUTSIDE = range(4)
+BLOCK = 16
 SAME_SURFACE = 0.02  # of the depth by which the next frame's depth may differ on one surface
 OTHER_CLASS = 255  # id of what is neither ground nor water; loaders ignore it by custom
 GROUND_REACH = 0.1  # m over or under the bed: what is farther from it is no ground
@@ -66,34 +68,49 @@ def flow_of(depth, camera, after, depth_after, number=None, moves=None):
         NO_FLOW: behind the next camera. SEEN: the next picture shows the same surface there.
         OCCLUDED: it shows another one. OUTSIDE: the place lies outside the next picture.
     """
-    ray = pixel_rays(camera)
     turn = after.camera_from_world[:3, :3] @ camera.camera_from_world[:3, :3].T
     shift = after.camera_from_world[:3, 3] - turn @ camera.camera_from_world[:3, 3]
-    far = ~np.isfinite(depth)
-    # Over the depth: a point at infinity has no shift.
-    per_depth = np.where(far, 0.0, 1 / np.where(far, 1.0, depth.astype(np.float64)))
-    there = ray @ turn.T + per_depth[..., None] * shift
-    for actor, move in (moves or {}).items():
-        mine = (number == actor) & ~far
-        own = after.camera_from_world @ move @ np.linalg.inv(camera.camera_from_world)
-        there[mine] = ray[mine] @ own[:3, :3].T + per_depth[mine, None] * own[:3, 3]
-    x, y, z = np.moveaxis(there, -1, 0)
-    ahead = z > 1e-6
-    z = np.where(ahead, z, 1.0)
-    u, v = image_point(after, x, y, z)
-    flow = np.stack([u - ray[..., 0] * camera.fx - camera.cx,
-                     v - ray[..., 1] * camera.fy - camera.cy], axis=-1)  # fmt: skip
-    flow[~ahead] = 0
-    inside = ahead & (u >= 0) & (u < after.width) & (v >= 0) & (v < after.height)
-    mask = np.where(ahead, OUTSIDE, NO_FLOW).astype(np.uint16)
-    expected = np.where(far, np.inf, z * np.where(far, 1.0, depth))[inside]
-    same = _is_shown(expected, depth_after, u[inside], v[inside])
-    mask[inside] = np.where(same, SEEN, OCCLUDED)
-    return flow.astype(np.float32), mask
+    own = {
+        actor: after.camera_from_world @ move @ np.linalg.inv(camera.camera_from_world)
+        for actor, move in (moves or {}).items()
+    }
+    flow = np.empty((*depth.shape, 2), np.float32)
+    mask = np.empty(depth.shape, np.uint16)
+    with np.errstate(divide="ignore"):
+        nearness = 1 / depth_after.astype(np.float64)
+
+    def find(rows):
+        """Write flow and mask of a block of rows."""
+        v, u = np.mgrid[rows, : camera.width] + 0.5
+        ray, here = rays(camera, u, v), depth[rows]
+        far = ~np.isfinite(here)
+        # Over the depth: a point at infinity has no shift.
+        per_depth = np.where(far, 0.0, 1 / np.where(far, 1.0, here.astype(np.float64)))
+        there = ray @ turn.T + per_depth[..., None] * shift
+        for actor, matrix in own.items():
+            mine = (number[rows] == actor) & ~far
+            there[mine] = ray[mine] @ matrix[:3, :3].T + per_depth[mine, None] * matrix[:3, 3]
+        x, y, z = np.moveaxis(there, -1, 0)
+        ahead = z > 1e-6
+        z = np.where(ahead, z, 1.0)
+        u, v = image_point(after, x, y, z)
+        found = flow[rows]
+        found[..., 0] = u - ray[..., 0] * camera.fx - camera.cx
+        found[..., 1] = v - ray[..., 1] * camera.fy - camera.cy
+        found[~ahead] = 0
+        inside = ahead & (u >= 0) & (u < after.width) & (v >= 0) & (v < after.height)
+        shown = np.where(ahead, OUTSIDE, NO_FLOW)
+        expected = np.where(far, np.inf, z * np.where(far, 1.0, here))[inside]
+        same = _is_shown(expected, depth_after, nearness, u[inside], v[inside])
+        shown[inside] = np.where(same, SEEN, OCCLUDED)
+        mask[rows] = shown
+
+    in_blocks(find, camera.height, BLOCK)
+    return flow, mask
 
 
-def _is_shown(expected, depth, u, v):
-    """Tell whether a picture shows the expected depth at image points.
+def _is_shown(expected, depth, nearness, u, v):
+    """Tell whether a picture shows the expected depth at image points; `nearness` is 1 / `depth`.
 
     Of planes the inverse of the depth is linear over the picture, so that it is interpolated; along
     edges the pixel that holds the point decides.
@@ -105,9 +122,8 @@ def _is_shown(expected, depth, u, v):
     i, j = np.minimum(column.astype(int), width - 2), np.minimum(row.astype(int), height - 2)
     a, b = column - i, row - j
     with np.errstate(divide="ignore", invalid="ignore"):
-        near = 1 / depth.astype(np.float64)
-        top = near[j, i] * (1 - a) + near[j, i + 1] * a
-        bottom = near[j + 1, i] * (1 - a) + near[j + 1, i + 1] * a
+        top = nearness[j, i] * (1 - a) + nearness[j, i + 1] * a
+        bottom = nearness[j + 1, i] * (1 - a) + nearness[j + 1, i + 1] * a
         between = 1 / (top * (1 - b) + bottom * b)
         found = ~np.isfinite(expected) & ~np.isfinite(nearest)
         for there in (nearest, between):

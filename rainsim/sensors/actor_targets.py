@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.reflection.ray_traced import Tracer
+from rainsim.sensors.lidar_model import PASSED
 from rainsim.splatting.prepared import SIGMAS
 
 WAY = 64  # times at which an actor's way in a turn is looked at, for the ball that it stays in
@@ -55,7 +56,7 @@ class ActorTarget:
         found = self._tracer.trace(
             np.einsum("nji,nj->ni", turn, origin[beam] - place).astype(np.float32),
             np.einsum("nji,nj->ni", turn, direction[beam]).astype(np.float32),
-            before[beam], segment=segment,
+            before[beam], segment=segment, stop=PASSED,
         )  # fmt: skip
         normal = np.einsum("nij,nj->ni", turn, found.normal)
         return Met(beam, found.color, found.alpha, found.plane_distance, normal)

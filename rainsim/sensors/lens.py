@@ -2,7 +2,7 @@
 
 Splats are drawn by pinhole cameras. So a distorted picture is drawn wider than it needs to be and
 looked up in that: colours are interpolated, depths and ids are taken from the nearest pixel, and
-flow leads from a distorted place to a distorted place.
+flow leads from a distorted place to a distorted place. Flow is interpolated on one surface.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from rainsim.scene.view import image_point, slopes
 MODELS = {"opencv": (4, 5), "fisheye": (4,)}  # numbers of coefficients
 WIDEST = math.tan(math.radians(80))  # off the axis that a pinhole picture is drawn to
 STEPS, CLOSE = 60, 1e-10  # of the inversion, in units of the focal length
+ALIKE, ALIKE_SHARE = 0.5, 0.05  # px and share of the flow by which it differs on one surface
 MOST_SIDE = 16384  # px of the wide picture
 REMEDY = "give other coefficients or a longer focal length"
 
@@ -109,6 +110,21 @@ class Lens:
         bad = folded | (np.hypot(a - x, b - y) > 1e-6)
         return np.where(bad, np.nan, u), np.where(bad, np.nan, v)
 
+    @property
+    def reach(self):
+        """Tangent of the angle off the axis up to which a ray farther out is seen farther out.
+
+        At most WIDEST. Beyond it the polynomial leads back, and places belong to no ray.
+        """
+        fisheye = self.model == "fisheye"
+        radial = self.values if fisheye else (*self.values[:2], *self.values[4:])
+        slope = [(2 * k + 3) * c for k, c in enumerate(radial)]
+        roots = np.roots([*reversed(slope), 1.0])
+        turns = math.sqrt(min((r.real for r in roots if r.imag == 0 < r.real), default=math.inf))
+        if fisheye:
+            turns = math.tan(min(turns, math.atan(WIDEST)))
+        return min(turns, WIDEST)
+
     def _unbent(self, x, y):
         bent = np.hypot(x, y)
         angle = bent.copy()
@@ -162,13 +178,17 @@ class LensWarp:
 
     def light(self, picture):
         """Return the distorted picture of numbers with channels, interpolated bilinearly."""
-        height, width = picture.shape[:2]
-        x, y = np.clip(self.u - 0.5, 0, width - 1), np.clip(self.v - 0.5, 0, height - 1)
-        i, j = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
-        a, b = (x - i)[..., None], (y - j)[..., None]
+        i, j, a, b = self._between(picture)
         top = picture[j, i] * (1 - a) + picture[j, i + 1] * a
         bottom = picture[j + 1, i] * (1 - a) + picture[j + 1, i + 1] * a
         return top * (1 - b) + bottom * b
+
+    def _between(self, picture):
+        """Return column and row of the first of each four pixels, and the shares of the others."""
+        height, width = picture.shape[:2]
+        x, y = np.clip(self.u - 0.5, 0, width - 1), np.clip(self.v - 0.5, 0, height - 1)
+        i, j = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
+        return i, j, (x - i)[..., None], (y - j)[..., None]
 
     def nearest(self, values):
         """Return the distorted picture of ids, depths or shares: that of the nearest pixel."""
@@ -185,7 +205,12 @@ class LensWarp:
         """
         after = self if after is None else after
         lens, wide = after.lens, after.wide
+        i, j, *_ = self._between(flow)
+        corners = np.stack([flow[j, i], flow[j, i + 1], flow[j + 1, i], flow[j + 1, i + 1]])
         there = self.nearest(flow)
+        apart, length = np.ptp(corners, axis=0).max(-1), np.abs(there).max(-1)
+        same = apart <= ALIKE + ALIKE_SHARE * length
+        there = np.where(same[..., None], self.light(flow), there)
         x, y = slopes(wide, self.u + there[..., 0], self.v + there[..., 1])
         p, q = lens.distort(x, y)
         u, v = image_point(after.camera, p, q, 1.0)
@@ -193,10 +218,10 @@ class LensWarp:
         found = np.stack([u - column, v - row], axis=-1).astype(np.float32)
         kept = self.nearest(mask).copy()
         outside = (u < 0) | (v < 0) | (u >= after.camera.width) | (v >= after.camera.height)
-        # A ray outside the wide picture may be folded back into the distorted one.
-        folded = np.hypot(x, y) > WIDEST
-        kept[(outside | folded) & (kept != NO_FLOW)] = OUTSIDE
-        found[(kept == NO_FLOW) | folded] = 0
+        kept[outside & (kept != NO_FLOW)] = OUTSIDE
+        # The lens puts such a ray nowhere, or back into the picture.
+        kept[np.hypot(x, y) > lens.reach] = NO_FLOW
+        found[kept == NO_FLOW] = 0
         return found, kept
 
 

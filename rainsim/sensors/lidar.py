@@ -20,6 +20,7 @@ from rainsim.sensors.lidar_model import (
     KEPT,
     LOST,
     MIRRORED,
+    PASSED,
     REFRACTIVE_INDEX,
     SCATTERED,
     WATER_ABSORPTION,
@@ -109,7 +110,7 @@ class LidarScanner:
         place, toward = frame.to_capture(origin), direction @ frame.rotation
         found = self._tracer.trace(
             place.astype(np.float32), toward.astype(np.float32), way_before,
-            segment=FIRST_SEGMENT / unit,
+            segment=FIRST_SEGMENT / unit, stop=PASSED,
         )  # fmt: skip
         met = found.alpha >= SOLID
         distance = np.where(met, found.plane_distance.astype(np.float64) * unit, np.inf)

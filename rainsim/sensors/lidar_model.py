@@ -21,6 +21,9 @@ DROP_REFLECTIVITY = ((REFRACTIVE_INDEX - 1) / (REFRACTIVE_INDEX + 1)) ** 2  # no
 CALIBRATION = 0.9  # reflectivity of the target that the greatest range is given for
 EXTINCTION_EFFICIENCY = 2.0  # of drops much larger than the wavelength: Mie's limit
 WATER_ABSORPTION = 6.8  # 1/m at 905 nm (Hale and Querry 1973, Appl. Opt. 12, table I)
+# Transmittance at which a beam ends. Behind a surface of splats a little always shines through, and
+# a hundredth of a beam that meets a sky 500 m away would put a mean of distances 5 m too far.
+PASSED = 0.2
 # Labels; the first three are LISA's.
 LOST, SCATTERED, KEPT, MIRRORED = range(4)
 LABEL_NAMES = {LOST: "lost", SCATTERED: "scattered", KEPT: "kept", MIRRORED: "mirrored"}

@@ -1,7 +1,9 @@
 """Rolling shutters: each band of rows is drawn as camera and drops are when it is exposed.
 
 The first row opens at the frame's time, the last a readout time later. Bands are drawn one by one,
-so that it is slow and exact but for the height of a band.
+each as high as it may be: what it shows moves between its first and its middle row by at most
+MOST_SHIFT in 99 % of its pixels, and it is read within half the exposure, so that streaks are off
+by at most a quarter of their length. A band that turns out to be too high is drawn again, lower.
 """
 
 from __future__ import annotations
@@ -14,8 +16,12 @@ from rainsim.errors import ParameterError, require_not_negative
 from rainsim.render.labels import boxes_of
 from rainsim.render.shutter import moved
 from rainsim.scene.cameras import cropped
+from rainsim.scene.view import pixel_rays
 
-ROWS = 8  # of a band
+ROWS = 8  # of the first band, and of the lowest
+MOST_SHIFT, COUNTED = 0.25, 99  # px, and the percentage of a band's pixels that move less
+SPARE = 0.85  # of the height that would have fitted a band, for the next one
+ACTORS = "actor_id"
 LONGEST = 0.2  # s; longer readouts are scanners'
 
 
@@ -68,51 +74,89 @@ def check_rows(readout, config):
         )
 
 
-def bands(camera, motion, readout, exposure, rows=ROWS, first_row=0.0, height=None):
-    """Yield delay and cameras, as it opens and closes, of each band of a picture from the top down.
+def band(camera, motion, readout, exposure, top, bottom, first_row=0.0, height=None):
+    """Return delay and cameras, as it opens and closes, of a picture's rows `top` to `bottom`.
 
     The delay [s] is that of the band's middle row after the sensor's first row, the cameras are of
     the band alone, the last None if the camera stands still. `camera` is in the ground frame, when
-    the first row opens; readout and exposure are in seconds. A band has `rows` rows, the last may
-    have fewer. `first_row` is the row of the sensor that the picture's first row is, `height` [px]
-    the sensor's, by default the picture's own: a picture that is going to be distorted is larger
-    than the sensor.
+    the first row opens; readout and exposure are in seconds. `first_row` is the row of the sensor
+    that the picture's first row is, `height` [px] the sensor's, by default the picture's own: a
+    picture that is going to be distorted is larger than the sensor.
     """
     height = camera.height if height is None else height
-    for top in range(0, camera.height, rows):
-        bottom = min(top + rows, camera.height)
-        delay = readout * ((top + bottom) / 2 + first_row) / height
-        window = 0, top, camera.width, bottom
-        begin = cropped(motion.at(camera, delay), window)
-        end = None if motion.is_still else cropped(motion.at(camera, delay + exposure), window)
-        yield delay, begin, end
+    delay = readout * ((top + bottom) / 2 + first_row) / height
+    window = 0, top, camera.width, bottom
+    begin = cropped(motion.at(camera, delay), window)
+    end = None if motion.is_still else cropped(motion.at(camera, delay + exposure), window)
+    return delay, begin, end
 
 
-def draw_rolling(renderer, camera, state, motion, readout, names=(), **options):
+def draw_rolling(renderer, camera, state, motion, readout, names=(), rows=None, **sensor):
     """Return the picture of a rolling shutter and its `FrameReport`, as `Renderer.draw` does.
 
     The camera is in the ground frame. Water does not move on within the readout [s], drops do. Flow
-    is not among the AOVs `names`; `options` are `rows`, `first_row` and `height` of `bands`.
+    is not among the AOVs `names`; `rows` is the height of all bands but the last, by default chosen
+    band by band; a GPU needs ROWS, for it makes its memory anew for each height. `sensor` has
+    `first_row` and `height` of `band`.
     """
-    frame, parts = renderer.conductor.wet_scene.frame, []
-    exposure = renderer.conductor.config.at(state.time).render.exposure
-    for delay, begin, end in bands(camera, motion, readout, exposure, **options):
-        here = state.shown_at(state.time + delay)
-        part, report = renderer.draw(frame.camera_in_capture(begin), here, end, names)
-        parts.append((part.copy(), report))  # a GPU draws the next band in the same memory
+    conductor, parts, notes = renderer.conductor, [], []
+    frame, exposure = conductor.wet_scene.frame, conductor.config.at(state.time).render.exposure
+    row_time = readout / (sensor.get("height") or camera.height)
+    most = ROWS if rows else max(ROWS, int(0.5 * exposure / max(row_time, 1e-9)))
+    moving = (ACTORS,) if most > ROWS and conductor.wet_scene.scene.actors else ()
+    drawn, top, rows = (*dict.fromkeys((*names, *moving)),), 0, rows or ROWS
+    with conductor.bands_of(motion.at(camera, readout / 2), state.time + readout / 2):
+        while top < camera.height:
+            bottom = min(top + rows, camera.height)
+            delay, begin, end = band(camera, motion, readout, exposure, top, bottom, **sensor)
+            here = state.shown_at(state.time + delay)
+            picture, report = renderer.draw(frame.camera_in_capture(begin), here, end, drawn)
+            notes += report.notes
+            if most > ROWS:
+                speed = _speed_in(begin, motion, renderer.frame["depth"], report)
+                fitting = 2 * MOST_SHIFT / max(speed * row_time, 1e-9)
+                last, rows = bottom - top, int(min(SPARE * fitting, 2 * rows, most)) // 4 * 4
+                rows = max(ROWS, rows)
+                if fitting < last > ROWS:
+                    continue
+            parts.append((picture.copy(), report))  # a GPU draws the next band in its memory
+            top = bottom
     picture = np.concatenate([part for part, _ in parts])
     reports = [report for _, report in parts]
     aovs = {name: np.concatenate([r.aovs[name] for r in reports]) for name in names}
-    facts = dict(reports[0].facts)
+    facts = {key: value for key, value in reports[0].facts.items() if key != "actors"}
     for kind, name in (("puddles", "puddle_id"), ("splashes", "splash_id")):
         if name in aovs:
             known = {entry["id"]: entry for r in reports for entry in r.facts.get(kind, ())}
             facts[kind] = [{**known.get(b["id"], {}), **b} for b in boxes_of(aovs[name])]
-    if "actor_id" in aovs:
+    if ACTORS in aovs:
         heights = [len(part) for part, _ in parts]
-        facts["actors"] = _actors(reports, np.cumsum([0, *heights]), aovs["actor_id"])
-    notes = tuple(dict.fromkeys(note for r in reports for note in r.notes))
+        facts["actors"] = _actors(reports, np.cumsum([0, *heights]), aovs[ACTORS])
+    notes = tuple(dict.fromkeys(notes))
     return picture, replace(reports[0], time=state.time, aovs=aovs, facts=facts, notes=notes)
+
+
+def _speed_in(camera, motion, depth, report):
+    """Return how fast a picture's contents move over it [px/s]: COUNTED % of its pixels are slower.
+
+    Parameters
+    ----------
+    camera : Camera
+        In the ground frame.
+    motion : Motion
+    depth : ndarray of shape (height, width), float32 [m]
+    report : FrameReport
+        Of a scene with actors it holds the layer `actor_id`.
+    """
+    turn, ray = camera.camera_from_world[:3, :3], pixel_rays(camera)
+    near = np.where(np.isfinite(depth), 1 / depth, 0.0)[..., None]
+    drift = np.cross(motion.turning, ray) - near * (turn @ motion.velocity)
+    for actor in report.facts.get("actors", ()):
+        mine = report.aovs[ACTORS] == actor["number"]
+        drift[mine] += near[mine] * (turn @ np.array(actor["box3d"]["velocity"]))
+    across = camera.fx * (drift[..., 0] - ray[..., 0] * drift[..., 2])
+    down = camera.fy * (drift[..., 1] - ray[..., 1] * drift[..., 2])
+    return float(np.percentile(np.hypot(across, down), COUNTED))
 
 
 def _actors(reports, rows, number):

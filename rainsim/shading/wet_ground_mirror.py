@@ -313,6 +313,12 @@ class WetGroundMirror:
     def __init__(self, terrain, config):
         self.terrain, self.config = terrain, config
         self.drawn = config.film == "mirror"
+        self._level = _level_picture
+
+    def share_level(self, camera):
+        """Draw one level picture, a camera's (ground frame), for all; None: each has its own."""
+        common = camera and functools.cache(functools.partial(_level_picture, camera))
+        self._level = (lambda _, draw_mirrored: common(draw_mirrored)) if common else _level_picture
 
     def over(self, terrain):
         """Return the mirror of another terrain, with the choice made for this one."""
@@ -332,7 +338,7 @@ class WetGroundMirror:
         Parameters
         ----------
         wet : WetPicture
-            Without the reflection of level ground.
+            Without them.
         cover : ndarray of shape (height, width), float32
             Share of a full water film in each pixel.
         camera : Camera
@@ -377,13 +383,7 @@ class WetGroundMirror:
         wet_blocks(cover, step, wanted)
         level, lamps = NO_LEVEL_PICTURE, ()
         if self.drawn:
-            upright = level_camera(camera)
-            seen, lamps = lamps_seen(upright, draw_mirrored)
-            picture = without_lamps(seen.picture) if len(lamps) else seen.picture
-            level = LevelPicture(
-                ripmap(picture, round(upright.cy)), seen.depth, seen.view.lens,
-                upright.forward[:2].astype(np.float32),
-            )  # fmt: skip
+            level, lamps = self._level(camera, draw_mirrored)
         field = np.empty((*wanted.shape, 3), np.float32)
         mirrored_field(view, step, wanted, self.ground, LOBE, level, environment, field)
         if len(lamps):
@@ -399,6 +399,18 @@ class WetGroundMirror:
     @functools.cached_property
     def _slopes(self):
         return ground_slopes(self.terrain)
+
+
+def _level_picture(camera, draw_mirrored):
+    """Return the `LevelPicture` of a camera, and its lamps."""
+    upright = level_camera(camera)
+    seen, lamps = lamps_seen(upright, draw_mirrored)
+    picture = without_lamps(seen.picture) if len(lamps) else seen.picture
+    level = LevelPicture(
+        ripmap(picture, round(upright.cy)), seen.depth, seen.view.lens,
+        upright.forward[:2].astype(np.float32),
+    )  # fmt: skip
+    return level, lamps
 
 
 @cpu_kernel

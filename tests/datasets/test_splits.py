@@ -1,6 +1,7 @@
 """Lists of views to train on, to validate and to test: no view is in two."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -64,6 +65,9 @@ def test_an_empty_list_is_said_with_what_fills_it():
     assert note(4, 0) == empty + "--hold-out 2"
     assert note(12, 8).endswith("1 in test; val holds no picture; give --hold-out 6")
     assert note(1, 0).startswith("WARNING: 1 view: 1 in train") and note(1, 0).endswith("or more")
+    rigged = [replace(view, mount="left", step=view.index // 3) for view in views_of(6, 0)]
+    told = split_note(rigged, "nerfstudio")
+    assert told.endswith("take 4 views or more of the path, which has 2")
     for count, every in ((4, 0), (12, 8), (30, 29)):  # the remedy is one
         told = int(note(count, every).rpartition(" ")[2])
         assert "WARNING" not in note(count, told)

@@ -8,7 +8,8 @@ import pytest
 from test_examples import load
 
 from rainsim.bench import downstream
-from rainsim.datasets.reading import StoredView
+from rainsim.datasets.reading import StoredView, read_views
+from rainsim.errors import ParameterError
 from rainsim.raster import prepare, rasterize
 from rainsim.scene.cameras import look_at
 from rainsim.scene.types import Splats
@@ -86,6 +87,46 @@ def test_the_table_of_a_tiny_scene(module, tmp_path, scene_folder, capsys):
     assert len(capsys.readouterr().out.splitlines()) == 6  # where the data are, and the table
     assert json.loads((tmp_path / "table.json").read_text())["rows"] == table
     assert imageio.imread(tmp_path / "downstream.png").shape == (2 * 36, 4 * 48, 3)
+
+
+def test_the_partner_in_clear_air_parts_what_falls_from_the_light(module, tmp_path, scene_folder):
+    """Judged in the light of the rain little is lost; by the clear pictures nearly all is light."""
+    more = ("--fps", "2", "--spacing", "0.04", "--extent", "1", "-q")
+    training = {"steps": 30, "most": 300, "degree": 0, "say": lambda line: None}
+    run = load("downstream").main
+    typed = load("downstream").typed_words()
+    assert typed.parse_args(["--against", "clear_air"]).against == "clear_air"
+    assert typed.parse_args([]).against == "clear"
+    given = tmp_path, str(scene_folder), (0, 50), 8, 48, 36, more
+    table = run(*given, against="clear_air", **training)
+    assert [(row["mm_per_hour"], row["left_out"]) for row in table] == [
+        (50, name) for name in (module.WHAT_FALLS, *module.MASKS)
+    ]  # fmt: skip
+    assert table[0]["share"] == table[1]["share"] == 0 < table[2]["share"]
+    found = json.loads((tmp_path / "table.json").read_text())
+    assert found["against"] == "clear_air" and found["rows"] == table
+    assert imageio.imread(tmp_path / "downstream.png").shape == (2 * 36, 4 * 48, 3)
+    # The picture that is judged by is the partner: without what falls, with its light.
+    views = [v for v in read_views(tmp_path / "data", 50, "clear_air") if v.held_out]
+    rain = [v for v in read_views(tmp_path / "data", 50) if v.held_out]
+    falls = np.mean([(a.picture != b.picture).mean() for a, b in zip(views, rain, strict=True)])
+    assert 0 < falls < 0.9 and [v.name for v in views] == [v.name for v in rain]
+    splats = module.Splats(np.zeros((4, 3), np.float32), np.zeros((4, 3)), 0, "cpu")
+    (own, *_), _ = module.judge(splats, views)
+    assert own != pytest.approx(module.judge(splats, rain)[0][0], abs=1e-6)
+    by_clear = run(*given, against="clear", **training)
+    assert by_clear[1]["psnr"] != pytest.approx(table[1]["psnr"], abs=0.1)
+    with pytest.raises(ParameterError, match="against is 'wet'"):
+        module.measure(tmp_path / "data", tmp_path, against="wet")
+
+
+def test_a_set_without_partners_is_refused(module, tmp_path, scene_folder):
+    more = ("--fps", "2", "--spacing", "0.04", "--extent", "1", "-q")
+    folder = load("downstream").export(tmp_path, str(scene_folder), (0, 50), 4, 48, 36, more)
+    with pytest.raises(ParameterError, match="export it again with --partners"):
+        module.measure(folder, tmp_path, degree=0, against="clear_air", say=lambda line: None)
+    with pytest.raises(ParameterError, match="has no partner dry at 0 mm/h"):
+        read_views(folder, 0, "dry")
 
 
 def test_metrics(module, rng):

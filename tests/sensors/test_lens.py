@@ -10,11 +10,11 @@ from made_captures import ring
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import write_json
 from rainsim.render import labels
-from rainsim.render.labels import OUTSIDE, SEEN
+from rainsim.render.labels import NO_FLOW, OUTSIDE, SEEN
 from rainsim.render.shutter import moved
 from rainsim.scene.types import Camera
-from rainsim.scene.view import pixel_rays
-from rainsim.sensors.lens import Lens, lens_of, lens_warp
+from rainsim.scene.view import pixel_rays, slopes
+from rainsim.sensors.lens import WIDEST, Lens, lens_of, lens_warp
 from rainsim.sensors.lens_files import lens_named
 
 CAMERA = Camera(120, 80, 90.0, 92.0, 61.0, 38.0, np.eye(4), "a")
@@ -165,4 +165,38 @@ def test_flow_leads_from_distorted_to_distorted_place(lens):
     seen = mask == SEEN
     assert seen.mean() > 0.6 and (mask == OUTSIDE).any()
     off = np.linalg.norm(flow - expected, axis=-1)[seen]
-    assert off.max() < 0.5 and np.median(off) < 0.05
+    assert off.max() < 0.02 and np.median(off) < 2e-3  # the plane is one surface
+    nearest = warp.nearest(labels.flow_of(here, warp.wide, after, there)[0])
+    assert np.median(np.linalg.norm(flow - nearest, axis=-1)[seen]) > 0.01
+
+
+def test_flow_of_two_surfaces_is_of_one_of_them():
+    """Across an edge nothing is interpolated: a mean of two motions is the motion of nothing."""
+    warp = lens_warp(CAMERA, LENSES[0])
+    flow = np.zeros((warp.wide.height, warp.wide.width, 2), np.float32)
+    flow[:, warp.wide.width // 2 :, 0] = 8.0
+    mask = np.full(flow.shape[:2], SEEN, np.uint16)
+    found, _ = warp.flow(flow, mask)
+    still = np.abs(found).max(-1) < 1e-3
+    u = warp.u + warp.nearest(flow)[..., 0]  # by the lens alone
+    x, y = slopes(warp.wide, u, warp.v)
+    moved_by = CAMERA.fx * LENSES[0].distort(x, y)[0] + CAMERA.cx - 0.5 - np.arange(120)
+    np.testing.assert_allclose(found[..., 0], moved_by, atol=1e-3)
+    assert 0.4 < still.mean() < 0.6
+
+
+def test_no_flow_leads_past_the_lens():
+    """Where the polynomial leads back a ray has no place; it must not come back as a flow of 0."""
+    lens = Lens("opencv", (-0.3, 0.0, 0.0, 0.0))
+    assert lens.reach == pytest.approx(1 / 0.9**0.5)
+    assert Lens("fisheye", (0.1, 0.0, 0.0, 0.0)).reach == pytest.approx(WIDEST)
+    assert Lens("fisheye", (-0.5, 0.0, 0.0, 0.0)).reach == pytest.approx(np.tan((1 / 1.5) ** 0.5))
+    warp = lens_warp(replace(CAMERA, fx=115.0, fy=115.0), lens)
+    shift = np.zeros((warp.wide.height, warp.wide.width, 2), np.float32)
+    shift[..., 0] = 60.0
+    flow, mask = warp.flow(shift, np.full(shift.shape[:2], OUTSIDE, np.uint16))
+    x, _ = slopes(warp.wide, warp.u + 60.0, warp.v)
+    past = np.hypot(x, slopes(warp.wide, warp.u, warp.v)[1]) > lens.reach
+    assert 0.03 < past.mean() < 0.6
+    assert (mask[past] == NO_FLOW).all() and not flow[past].any()
+    assert (mask[~past] == OUTSIDE).all() and np.abs(flow[~past]).max() > 20

@@ -1,16 +1,23 @@
 """A lidar in the rain: beams, drops in them, LISA's statistics, water that mirrors, files."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import factories
 from rainsim import pipeline
 from rainsim.actors.actor import scene_at
 from rainsim.config.settings import Config
+from rainsim.datasets.sample import View
+from rainsim.datasets.shots import Shots
 from rainsim.drops import Drops, RainField, RainSpectrum, flat_surfaces
 from rainsim.errors import ParameterError
+from rainsim.scene.types import GroundFrame, Scene
+from rainsim.scene.view import pixel_rays
+from rainsim.sensors import lidar as lidar_module
 from rainsim.sensors import point_files
 from rainsim.sensors.lidar import LidarScanner, Pose, Surface, drops_in_beams, pose_at
 from rainsim.sensors.lidar_model import (
@@ -27,7 +34,7 @@ from rainsim.sensors.lidar_model import (
 from rainsim.sensors.lisa import scattered_share
 from rainsim.sensors.near_drops import near_drops
 from rainsim.terrain.types import Grid
-from scenes import BOX_SIZE, BOX_WAY, bed_height, moving_scene, tiny_scene
+from scenes import BOX_SIZE, BOX_WAY, bed_height, looking, moving_scene, tiny_scene
 
 OPEN_AIR = flat_surfaces(1.0, 1.0, 1.0, origin=(1e9, 1e9))
 STILL = Pose(np.zeros(3), np.eye(3), np.zeros(3))
@@ -248,6 +255,69 @@ def test_points_lie_on_the_captures_ground(rng):
     off = place[low, 2] - bed_height(place[low, 0], place[low, 1])
     assert np.median(np.abs(off)) < 5e-3 and np.percentile(np.abs(off), 95) < 0.03
     assert 0.02 < np.median(scan.reflectivity[back]) < 0.6
+
+
+def before_a_far_wall():
+    """Level ground of thin discs that let a little light through, and a wall 400 m behind it."""
+    step = 0.1
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(-1, 15, step), np.arange(-2, 2, step)))
+    ground = np.column_stack([x, y, np.zeros(len(x))])
+    size = np.tile([0.7 * step, 0.7 * step, 4e-4], (len(x), 1))
+    wall = np.array([[400.0, 0.0, 0.0]])
+    splats = factories.splats(
+        np.concatenate([ground, wall]), scale=np.concatenate([size, [[0.5, 300.0, 300.0]]]),
+        opacity=0.7,
+    )  # fmt: skip
+    frame = GroundFrame(np.eye(3), 1.0, np.zeros(3), 1.0, ("made for a test",))
+    camera = looking((0.0, 0.0, 1.5), (12.0, 0.0, 0.3), 48, 24, focal=60)
+    return Scene("road", splats, (camera,), frame, None, "0" * 64, ())
+
+
+def ranges_in_pixels(scanner, camera):
+    """Ranges [m] along the rays through the middles of pixels, from the camera's own place."""
+    ray = pixel_rays(camera).reshape(-1, 3)
+    toward = ray / np.linalg.norm(ray, axis=1)[:, None] @ camera.camera_from_world[:3, :3]
+    return scanner.trace(np.tile(camera.position, (len(toward), 1)), toward)
+
+
+def test_what_shines_through_a_surface_moves_no_point(monkeypatch):
+    """On the ground a beam has the range that the plane has, whatever stands far behind."""
+    scene = before_a_far_wall()
+    config = Config.from_preset("downpour").replace(extent=1.0, spacing=0.05)
+    camera = scene.cameras[0]
+    scanner = LidarScanner(scene, pipeline.extract_terrain(scene, config), 0.9)
+    ray = pixel_rays(camera).reshape(-1, 3) @ camera.camera_from_world[:3, :3]
+    way = 1.5 / np.maximum(-ray[:, 2], 1e-9)  # to the ground, in lengths of the ray
+    exact = way * np.linalg.norm(ray, axis=1)
+    on = (exact > 3) & (exact < 12) & (np.abs(way * ray[:, 1]) < 1.5)
+
+    def off():
+        return np.abs(ranges_in_pixels(scanner, camera).distance[on] / exact[on] - 1)
+
+    assert on.sum() > 100 and np.median(off()) < 1e-3 and np.percentile(off(), 99) < 0.02
+    monkeypatch.setattr(lidar_module, "PASSED", 1e-4)
+    assert np.percentile(off(), 90) > 0.1  # beams that go on are put off
+
+
+def test_beams_from_the_camera_have_the_ranges_of_its_picture():
+    """Through the middles of pixels lidar and label agree; half a pixel off, they do not."""
+    scene = tiny_scene(96, 72)
+    config = Config.from_preset("downpour").replace(extent=1.0, spacing=0.05)
+    terrain = pipeline.extract_terrain(scene, config)
+    camera = scene.ground_frame.camera_in_ground(scene.cameras[0])
+    shots = Shots(scene, terrain, [View(0, "v", camera)], config, False)
+    (sample,) = shots.draw(0.0, [0])
+    scanner, seen = LidarScanner(scene, terrain, 0.9), sample.range.ravel()
+
+    def off(shift):
+        moved = replace(camera, cy=camera.cy - shift)
+        found = ranges_in_pixels(scanner, moved)
+        level = (found.normal[:, 2] > 0.7) & np.isfinite(found.distance) & np.isfinite(seen)
+        assert level.sum() > 1000
+        return np.abs(found.distance[level] / seen[level] - 1)
+
+    assert np.median(off(0.0)) < 5e-4 and np.percentile(off(0.0), 90) < 5e-3
+    assert np.median(off(0.5)) > 4 * np.median(off(0.0))
 
 
 # --- actors ---------------------------------------------------------------------------------------

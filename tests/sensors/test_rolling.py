@@ -1,6 +1,7 @@
 """Rolling shutters: edges lean as their closed form says, drops shear, nothing else changes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,17 @@ from rainsim.errors import ParameterError
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.renderer import Renderer
 from rainsim.scene.types import Camera
-from rainsim.sensors.rolling import STILL, Motion, bands, check_readout, draw_rolling
-from scenes import moving_scene, tiny_scene
+from rainsim.scene.view import pixel_rays
+from rainsim.sensors.rolling import (
+    MOST_SHIFT,
+    STILL,
+    Motion,
+    _speed_in,
+    band,
+    check_readout,
+    draw_rolling,
+)
+from scenes import looking, moving_scene, tiny_scene
 
 
 def edge_scene():
@@ -38,7 +48,8 @@ def test_a_moving_upright_edge_leans(speed):
     readout, rasterizer = 0.1, Rasterizer(prepare(edge_scene()))
     rows = [
         rasterizer.draw(begin, 0.05).color[..., 0]
-        for _, begin, _ in bands(camera, motion, readout, 0.001, rows=4)
+        for top in range(0, 120, 4)
+        for _, begin, _ in [band(camera, motion, readout, 0.001, top, top + 4)]
     ]
     picture = np.concatenate(rows)
     edges = np.array([edge_of(row) for row in picture[4:-4]])
@@ -51,17 +62,66 @@ def test_a_moving_upright_edge_leans(speed):
     assert place + 60 * slope == pytest.approx(80 + 60 * expected, abs=0.5)
 
 
-def test_bands_make_the_whole_picture():
+def test_a_band_is_of_its_middle_row():
     camera = Camera(64, 50, 60.0, 60.0, 32.0, 25.0, np.eye(4), "a")
-    found = list(bands(camera, STILL, 0.02, 0.01, rows=16))
-    assert [c.height for _, c, _ in found] == [16, 16, 16, 2]
-    assert [end for *_, end in found] == [None] * 4
-    np.testing.assert_allclose([d for d, *_ in found], [0.02 * m / 50 for m in (8, 24, 40, 49)])
+    delay, begin, end = band(camera, STILL, 0.02, 0.01, 48, 50)
+    assert (begin.height, begin.cy, end) == (2, 25.0 - 48, None)
+    assert delay == pytest.approx(0.02 * 49 / 50)
     moving = Motion(np.array([1.0, 0, 0]), np.array([0, 0.1, 0]))
-    delay, begin, end = list(bands(camera, moving, 0.02, 0.01, 16, first_row=-5, height=40))[1]
+    delay, begin, end = band(camera, moving, 0.02, 0.01, 16, 32, first_row=-5, height=40)
     assert delay == pytest.approx(0.02 * (24 - 5) / 40)
     np.testing.assert_allclose(begin.position, [delay, 0, 0], atol=1e-12)
     np.testing.assert_allclose(end.position, [delay + 0.01, 0, 0], atol=1e-12)
+
+
+def test_the_speed_of_a_picture_is_that_of_its_places():
+    """By the places of points in the pictures of two cameras a moment apart."""
+    camera = looking((0.3, -2.0, 1.0), (0.0, 0.5, 0.2), 40, 30)
+    motion, dt = Motion(np.array([2.0, 3.0, -0.5]), np.array([0.3, -0.8, 0.2])), 1e-5
+    depth = np.random.default_rng(3).uniform(2, 9, (30, 40)).astype(np.float32)
+    depth[:5] = np.inf
+    ray, turn = pixel_rays(camera), camera.camera_from_world[:3, :3]
+    far = np.where(np.isfinite(depth), depth, 1e9)[..., None]
+    place = camera.position + (ray * far) @ turn
+    after = motion.at(camera, dt)
+    x, y, z = np.moveaxis((place - after.position) @ after.camera_from_world[:3, :3].T, -1, 0)
+    shift = np.hypot(camera.fx * (x / z - ray[..., 0]), camera.fy * (y / z - ray[..., 1])) / dt
+    found = _speed_in(camera, motion, depth, SimpleNamespace(facts={}))
+    assert found == pytest.approx(np.percentile(shift, 99), rel=1e-3)
+    faster = _speed_in(camera, Motion(2 * motion.velocity, motion.turning), depth,
+                       SimpleNamespace(facts={}))  # fmt: skip
+    assert faster > 1.5 * found
+
+
+def test_bands_are_lower_the_faster_the_camera(monkeypatch):
+    """And no row is farther from where it belongs than it may be; a whole picture's are."""
+    scene = tiny_scene(64, 96)
+    config = Config.from_preset("drizzle").replace(extent=1.0, spacing=0.05, exposure=0.05)
+    terrain = pipeline.extract_terrain(scene, config)
+    state = next(pipeline.simulate(terrain, config))
+    here = scene.ground_frame.camera_in_ground(scene.cameras[0])
+    renderer, heights = Renderer(scene, terrain, config, scene.cameras[0]), []
+    own = renderer.draw
+
+    def noted(camera, *given):
+        picture, report = own(camera, *given)
+        heights.append(len(picture))
+        return picture, report
+
+    monkeypatch.setattr(renderer, "draw", noted)
+    counts, found = [], []
+    for speed in (0.0, 2.0, 8.0):
+        motion = Motion(np.array([speed, 0.0, 0.0]), np.zeros(3))
+        heights.clear()
+        picture, report = draw_rolling(renderer, here, state, motion, 0.02, ("depth", "clean"))
+        assert picture.shape == (96, 64, 3) and set(report.aovs) == {"depth", "clean"}
+        counts.append(len(heights))
+        tall = draw_rolling(renderer, here, state, motion, 0.02, ("clean",), rows=8)[1]
+        apart = np.abs(tall.aovs["clean"].astype(int) - report.aovs["clean"])
+        found.append((_speed_in(here, motion, report.aovs["depth"], report), apart.mean()))
+    assert counts[0] <= 5 and counts[0] < counts[1] < counts[2] <= 13
+    assert counts[2] >= 12 and max(apart for _, apart in found) < 1
+    assert found[1][0] * 0.02 / 2 > 4 * MOST_SHIFT, "one band for all would be too high"
 
 
 @pytest.mark.slow
@@ -99,10 +159,12 @@ def test_an_actor_that_moves_leans_as_its_rows_are_read():
     renderer = Renderer(scene, terrain, config, camera)
     readout = 0.2
     _, rolling = draw_rolling(renderer, here, state, STILL, readout, names, rows=24)
+    chosen = draw_rolling(renderer, here, state, STILL, 0.02, ("clean",))[1]
+    assert set(chosen.aovs) == {"clean"} and "actors" not in chosen.facts
     number, drawn = rolling.aovs["actor_id"], []
-    for band in range(3):
-        rows = slice(24 * band, 24 * band + 24)
-        at = replace(state, time=0.4 + readout * (24 * band + 12) / 72)
+    for top in (0, 24, 48):
+        rows = slice(top, top + 24)
+        at = replace(state, time=0.4 + readout * (top + 12) / 72)
         _, whole = renderer.draw(camera, at, None, names)
         drawn.append(whole)
         assert (number[rows] == whole.aovs["actor_id"][rows]).mean() > 0.99
