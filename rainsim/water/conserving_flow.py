@@ -207,6 +207,8 @@ class ConservingFlow(StaggeredFlow):
         if everywhere:
             self._tiles.wake_wet(self.water.h[self.inner] > 0)
         fill_depth(self.edge_is_open, self.water.h)
+        if not self.moves:
+            self._raise_cap()  # that of dry ground would hold what fell on it
 
     def note_cells(self, edge, rows, columns, rise, dt):
         """Take note that last cells of an edge rose within a step.
