@@ -55,6 +55,15 @@ SAME_END = 1e-12  # relative, within which a call ends where one that was stoppe
 DECIDE_EVERY = 8  # calls of `advance`, between two looks of "auto" at the water
 
 
+def span_of_call(planned, time, end):
+    """Return the times [s] from which and to which a call of `advance` goes.
+
+    They are those of the call before, `planned`, if that was stopped at `time` and had this `end`.
+    """
+    stopped = planned[1] > time and math.isclose(planned[1], end, rel_tol=SAME_END)
+    return planned if stopped else (time, end)
+
+
 class WaterSolver:
     """Shallow water over a height field, in SI units.
 
@@ -286,13 +295,9 @@ class WaterSolver:
             self._apply_sources(0.0)
             self.flow.refresh()
             self._has_deposits, self.settled = False, False
-        begin, planned = self._planned  # of the call before; beyond the time if it was stopped
-        if planned > self.time and math.isclose(planned, end, rel_tol=SAME_END):
-            end = planned
-        elif end == self.time:
-            begin = end
-        else:
-            begin, self._planned = self.time, (self.time, end)
+        begin, end = span_of_call(self._planned, self.time, end)
+        if end > self.time and (begin, end) != self._planned:
+            self._planned = begin, end
             self._advances += 1
             if self.flow.moves and self._advances % DECIDE_EVERY == 0:
                 self._choose_scheme()

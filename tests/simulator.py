@@ -12,7 +12,7 @@ import tempfile
 
 import pytest
 
-QUICK = ("raster", "shading", "water", "streaks", "drops", "drips")
+QUICK = ("raster", "shading", "water", "edges", "streaks", "drops", "drips")
 """What the default suite runs."""
 
 

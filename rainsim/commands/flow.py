@@ -98,6 +98,7 @@ def _given(name, kind, text, **more):
         default="auto", show_default=True)  # fmt: skip
 @_given("courant", float, "Cells that the fastest wave crosses in a step. [default: the scheme's]")
 @_given("double", bool, "float64 in place of float32.", is_flag=True)
+@options.backend_option
 @options.resume_option
 @options.output_options("rainsim-out/BED-flow")
 def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given):
@@ -109,7 +110,8 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
 
     Writes depth, u and v at the end as maps like BED, gauges.csv with the readings of gauges, open
     edges and given edges, and state.npz. Ctrl-C stops after a step; --resume goes on, to a longer
-    --duration, too. There is no friction unless --manning or --viscosity is given.
+    --duration, too. There is no friction unless --manning or --viscosity is given. --backend cuda
+    takes the scheme lean in float32, and stops at the next reading.
 
     \b
     Example:
@@ -142,9 +144,13 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
         status.say(solver.choice)
         if solver.flow.roughness is None:
             status.notes(["no friction: neither --manning nor --viscosity is given"])
+        if given["backend"] == "cuda":
+            from rainsim.cuda.solver import GpuWaterSolver
+
+            solver = GpuWaterSolver(solver)
         run = Run(solver, given, out, status)
         if resume and (out / STATE).is_file():
-            run.load(duration)
+            run.load(duration, period)
         record.begin()
         record.add(GAUGES, STATE)
         finished = run.to(duration, period, rain)
@@ -166,7 +172,7 @@ class Run:
 
     Parameters
     ----------
-    solver : WaterSolver
+    solver : WaterSolver or GpuWaterSolver
     given : dict
         The command's options.
     out : Path
@@ -184,7 +190,7 @@ class Run:
         self._solver, self._out, self._status = solver, out, status
         self.gauges, self.steps = Gauges(solver, dict(given["gauge"])), 0
 
-    def load(self, duration):
+    def load(self, duration, period):
         """Take the state and the readings of the run that goes on."""
         self._solver.load(self._out / STATE)
         if self._solver.time > duration:
@@ -193,6 +199,13 @@ class Run:
                 f"{self._solver.time:g} s already; give a longer one"
             )
         self.gauges.load(self._out / GAUGES)
+        time, rows = self._solver.time, self.gauges.rows
+        at_reading = abs(time / period - round(time / period)) < 1e-9
+        if time < duration and rows and rows[-1][0] == time and not at_reading:
+            self._status.notes([
+                f"the run ended at {time:g} s, between readings every {period:g} s; a run that "
+                "did not end there takes other steps, so its numbers differ a little"
+            ])  # fmt: skip
 
     def to(self, duration, period, rain):
         """Go on to `duration` [s] with readings every `period` [s]; return whether it is reached.
@@ -214,6 +227,7 @@ class Run:
                 return not pressed.is_set()
 
             self.gauges.run(duration, period, rain, goes_on, begin=0.0)
+        self.steps = getattr(self._solver, "steps", self.steps)  # a GPU does not report each
         self.save()
         return self._solver.time >= duration * (1 - 1e-9)
 
@@ -274,8 +288,10 @@ def _solver(ground, bed, given):
     conditions += [Discharge(edge, series(value), span) for edge, span, value in given["discharge"]]
     conditions += [curve(*entry) for entry in given["rating"]]
     edges = EDGES if "all" in given["open"] else given["open"]
+    by_device = given["backend"] == "cuda" and given["scheme"] == "auto"
+    scheme = "lean" if by_device else given["scheme"]
     solver = WaterSolver(
-        ground.values, spacing, given["scheme"], dict.fromkeys(edges, "open"),
+        ground.values, spacing, scheme, dict.fromkeys(edges, "open"),
         manning=_map(given["manning"], ground, "--manning"),
         kinematic_viscosity=given["viscosity"], courant=given["courant"],
         storage=1e-3 * _map(given["storage"], ground, "--storage"),
@@ -288,6 +304,8 @@ def _solver(ground, bed, given):
         import numpy as np
 
         solver.set_state(np.maximum(given["level"] - ground.values, 0.0))
+    if by_device:
+        solver.reason = "auto: the scheme of a CUDA device"
     return solver, series(given["rain"], MM_PER_HOUR, holds=True)
 
 

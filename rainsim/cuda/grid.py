@@ -69,8 +69,10 @@ class Water:
         self._layout = lean.Layout(ny, nx, wide, rows, kinds)
         self._limits = lean.Limits(*map(np.float32, (solver.gravity, flow.rounding, flow.dry)))
         self.cells = CellLayout(PAD * wide + PAD + step_control.LEAD, wide, solver.spacing**2)
-        fields = np.stack([self._framed(a) for a in (water.h, water.u, water.v)])
-        self._fields = to_device(np.stack([fields, fields]).reshape(-1), stream)
+        fields = [
+            self._framed(a) for copy in (water, flow._spare) for a in (copy.h, copy.u, copy.v)
+        ]
+        self._fields = to_device(np.stack(fields).reshape(-1), stream)
         rough = np.zeros_like(flow.bed) if flow.roughness is None else flow.roughness
         takes = _what_the_ground_takes(solver)
         maps = flow.bed, rough, np.pad(exposure, PAD), takes, sources.storage
@@ -126,6 +128,13 @@ class Water:
         np.add.at(waiting, cells, np.rint(depth).astype(np.int64))
         send(self.waiting, waiting, self.stream)
 
+    def undelivered(self):
+        """Return rows, columns and volumes [m3] of drops that no frame has taken in; waits."""
+        waiting = fetch(self.waiting, self.stream)
+        cells = np.flatnonzero(waiting)
+        rows, columns = np.divmod(cells - self.cells.first, self.cells.width)
+        return rows, columns, waiting[cells] * (step_control.UNIT * self.cells.area)
+
     def withdraw(self, rows, columns, volumes):
         """Drain up to `volumes` [m3] of free water from cells, none of them named twice; waits."""
         cells, depth = self.places(rows, columns), np.asarray(volumes) / self.cells.area
@@ -147,13 +156,17 @@ class Water:
 
     def launch(self):
         """Queue a frame: drops, steps, the account. No visit to the host."""
+        self.begin()
+        self.go_on()
+
+    def begin(self):
+        """Queue what stands before the steps of a frame."""
         self.account.send()
         # Where nothing moves no step writes it.
         depth, before = self.depths[self.page], self.depths[1 - self.page]
         depth.copy_to_device(before, stream=self.stream)
         self.take_in()
         self.refresh()
-        self.go_on()
 
     def go_on(self):
         """Queue `capacity` steps and the account; again if time was left over."""
@@ -199,12 +212,19 @@ class Water:
         while self.account.fetch()[step_control.LEFT] > 0.0:
             self._run(self.go_on)
         state = fetch(self.account.state, self.stream)
-        if state[step_control.UNSOUND] or not np.isfinite(self.ledger().ground):
+        self.require_sound(state, self.ledger().ground)
+        return int(state[step_control.SUBSTEPS])
+
+    def require_sound(self, state, ground=0.0):
+        """Raise DivergedError if `state` says that the water is too fast, or `ground` is no number.
+
+        `ground` is the ledger's volume on the ground [m3].
+        """
+        if state[step_control.UNSOUND] or not np.isfinite(ground):
             raise DivergedError(
                 "the water on the CUDA device is faster than water can be; use a smaller courant "
                 f"than {self.account.courant:g}"
             )
-        return int(state[step_control.SUBSTEPS])
 
     def _run(self, queue):
         """Queue the work of a method: launch by launch at first, then as one recorded launch.
@@ -223,6 +243,33 @@ class Water:
     def ledger(self):
         """Return the `Ledger` at the last frame's end; waits for it."""
         return self.account.ledger(self.account.fetch())
+
+    def bring_to(self, solver):
+        """Give a `WaterSolver` of the same map the present water and its speeds; waits."""
+        flow, layout, state = solver.flow, self._layout, fetch(self.account.state, self.stream)
+        control, parity = self.account.fetch(), state[step_control.PARITY]
+        copies = fetch(self._fields, self.stream).reshape(2, 3, -1, layout.pitch)
+        rest = (
+            fetch(array, self.stream).reshape(-1, layout.pitch)
+            for array in (self._remainder, self._film)
+        )
+        spare, water = flow._spare, flow.water
+        for field, framed in zip(
+            (water.h, water.u, water.v, spare.h, spare.u, spare.v, water.remainder,
+             solver.sources.film),
+            (*copies[parity], *copies[1 - parity], *rest), strict=True,
+        ):  # fmt: skip
+            rows, columns = field.shape
+            framed = framed[:rows, step_control.LEAD : step_control.LEAD + columns]
+            field[:] = 0  # the device does not keep all ghosts
+            field[flow.inner] = framed[flow.inner]
+        flow.cap, flow.wave_speed, flow.water_speed = control[
+            [step_control.CAP, step_control.REACH_NOW, step_control.SWIFT_NOW]
+        ].tolist()
+        flow.is_at_whole_step = state[step_control.WAITS] == 1
+        solver.settled = bool(state[step_control.SETTLED])
+        flow._tiles.wake()
+        flow._fill_ghosts()
 
     def fields(self):
         """Return depth (ny, nx), u (ny, nx + 1) and v (ny + 1, nx) as host arrays; waits."""
@@ -270,11 +317,6 @@ def _require_lean(solver):
         raise ParameterError(
             f"the water scheme is {solver.scheme!r} in {dtype}; on a CUDA device it must be "
             '"lean" in float32, which "auto" takes; give that, or backend "cpu"'
-        )
-    if solver.conditions:
-        raise ParameterError(
-            f"the solver has {len(solver.conditions)} conditions of edges; a CUDA device has none; "
-            'leave them out, or take backend "cpu"'
         )
 
 

@@ -44,23 +44,27 @@ def write_arrays(path, version, arrays):
         np.savez(file, **arrays, **{VERSION: np.int64(version)})
 
 
-def read_arrays(path, what, fields, version, remedy):
+def read_arrays(path, what, fields, version, remedy, oldest=1):
     """Return the arrays of a file that `write_arrays` wrote, as a dict.
 
     `what` and `remedy` say in messages what the file is ("height map") and what makes a sound one.
-    Arrays that are not among `fields` are not read; `version` is the latest that can be. Arrays are
-    writable and C-contiguous, text is str or, of an array, a list of str; those that are not needed
-    and not there are left out. InputError names the array, what it is and what it must be.
+    Arrays that are not among `fields` are not read; `version` is the latest that can be, `oldest`
+    the first. Arrays are writable and C-contiguous, text is str or, of an array, a list of str;
+    those that are not needed and not there are left out. InputError names the array, what it is and
+    what it must be.
     """
     path = require_file(path, f"a {what}", remedy)
     reader = _Reader(path, what, remedy)
     try:
         with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
             members = reader.members(archive)
+            found = 1
             if VERSION + ".npy" in members:
                 found = reader.array(archive, members, VERSION, Field("int64"), {})
-                if not 1 <= found <= version:
-                    raise reader.error(f"it is of version {found}, at most {version} is read")
+            if found < oldest:
+                raise reader.error(f"it is of version {found}, at least {oldest} is read")
+            if found > version:
+                raise reader.error(f"it is of version {found}, at most {version} is read")
             arrays, lengths = {}, {}
             for name, field in fields.items():
                 if name + ".npy" in members:

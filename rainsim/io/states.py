@@ -195,7 +195,9 @@ def _fall(drips):
 
 # --- of a solver ----------------------------------------------------------------------------------
 
-SOLVER, SOLVER_REMEDY = "state of the water solver", "write it with WaterSolver.save"
+SOLVER = "state of the water solver"
+SOLVER_REMEDY = "write it with WaterSolver.save; `rainsim flow` does so without --resume"
+SOLVER_VERSION = 2  # of version 1 a stopped run cannot go on
 
 
 def digest(*arrays):
@@ -208,7 +210,7 @@ def digest(*arrays):
 
 def write_solver(path, made_of, arrays):
     """Write the state of a solver: arrays by name, and a text that says what it was made of."""
-    write_arrays(path, VERSION, {**arrays, "made_of": np.array(made_of)})
+    write_arrays(path, SOLVER_VERSION, {**arrays, "made_of": np.array(made_of)})
 
 
 def read_solver(path, made_of, wanted):
@@ -229,7 +231,8 @@ def read_solver(path, made_of, wanted):
     """
 
     def read(fields):
-        return read_arrays(path, SOLVER, fields, VERSION, SOLVER_REMEDY)
+        versions = SOLVER_VERSION, SOLVER_REMEDY, SOLVER_VERSION
+        return read_arrays(path, SOLVER, fields, *versions)
 
     if read({"made_of": Field(TEXT)})["made_of"] != made_of:
         raise InputError(

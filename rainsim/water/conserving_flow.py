@@ -150,7 +150,13 @@ class ConservingFlow(StaggeredFlow):
     def _finish(self, dt, speeds):
         """Take the new copy, slow it by friction over `dt` [s], fill ghosts, measure speeds."""
         self.water, self._spare = self._spare, self.water
-        now, before = self.water, self._spare
+        self._slow(dt, self._tiles.runs, self._tiles.active, self._spare, self.water, speeds)
+        self._fill_ghosts()
+        self.wave_speed, self.water_speed = (float(top.max(initial=0)) for top in speeds)
+        self._tiles.let_sleep(speeds[1])
+
+    def _slow(self, dt, runs, tiles, before, now, speeds):
+        """Slow the velocities of `now` by friction over `dt` [s], and measure speeds again."""
         if self.roughness is not None:
             dtype = self.bed.dtype.type
             numbers = FrictionNumbers(
@@ -158,12 +164,9 @@ class ConservingFlow(StaggeredFlow):
                 gravity=dtype(self._gravity), dry=self.dry,
             )  # fmt: skip
             apply_friction(
-                self._tiles.runs, self._tiles.active, now._replace(u=before.u, v=before.v),
+                runs, tiles, now._replace(u=before.u, v=before.v),
                 Ground(self.bed, self.roughness), numbers, now.u, now.v, *speeds,
             )  # fmt: skip
-        self._fill_ghosts()
-        self.wave_speed, self.water_speed = (float(top.max(initial=0)) for top in speeds)
-        self._tiles.let_sleep(speeds[1])
 
     # -- file -----------------------------------------------------------------------------------
 
@@ -207,6 +210,8 @@ class ConservingFlow(StaggeredFlow):
         if everywhere:
             self._tiles.wake_wet(self.water.h[self.inner] > 0)
         fill_depth(self.edge_is_open, self.water.h)
+        if not self.moves:
+            self._raise_cap()  # that of dry ground would hold what fell on it
 
     def note_cells(self, edge, rows, columns, rise, dt):
         """Take note that last cells of an edge rose within a step.
@@ -300,12 +305,24 @@ class LeanFlow(ConservingFlow):
 
     def _step(self, dt, pressure_time):
         """Depth by `dt` and velocity by `pressure_time` [s] in one pass."""
-        speeds, new = self._tiles.speeds(), self._spare
-        step(
-            self._tiles.runs, self._tiles.active, self.water, self.bed,
-            self.numbers(dt, pressure_time, self.cap), new.h, new.u, new.v, *speeds,
-        )  # fmt: skip
+        speeds = self._tiles.speeds()
+        self._write(dt, pressure_time, self._tiles.runs, self._tiles.active, speeds)
         self._finish(pressure_time, speeds)
+
+    def _write(self, dt, pressure_time, runs, tiles, speeds):
+        """Write the step of some tiles to the spare copy, without friction."""
+        new = self._spare
+        step(
+            runs, tiles, self.water, self.bed, self.numbers(dt, pressure_time, self.cap),
+            new.h, new.u, new.v, *speeds,
+        )  # fmt: skip
+
+    def speeds_of(self, dt, pressure_time, runs, tiles):
+        """Return the fastest wave and face [m/s] that a step would make in some tiles."""
+        speeds = np.zeros((2, len(tiles)), self.bed.dtype)
+        self._write(dt, pressure_time, runs, tiles, speeds)
+        self._slow(pressure_time, runs, tiles, self.water, self._spare, speeds)
+        return speeds.max(axis=1, initial=0).tolist()
 
     def note_cells(self, edge, rows, columns, rise, dt):
         """Take note that last cells of an edge rose, see `ConservingFlow.note_cells`.

@@ -83,8 +83,8 @@ class Gauges:
         ----------
         duration, period : float [s]
         rain, progress
-            See `WaterSolver.advance`. Where `progress` returns False the run stops, without a
-            reading of that moment.
+            See `WaterSolver.advance`. Where `progress` returns False the run stops; there is a
+            reading of that moment only if it was to be one.
         begin : float, optional [s]
             Time when the run began, if it goes on after a stop: duration and period count from
             it, and all is to the same bytes as without the stop. Now by default.
@@ -92,19 +92,27 @@ class Gauges:
         Returns
         -------
         WaterReport
-            The last.
+            The last; of a `GpuWaterSolver` the steps.
         """
         require_positive("period", period, "s")
         solver = self._solver
         begin, report = solver.time if begin is None else begin, None
+        goes_on = True
+
+        def told(now):
+            nonlocal goes_on
+            goes_on = progress(now) is not False
+            return goes_on
+
         end = begin + require_not_negative("duration", duration, "s")
         count = int(np.ceil((end - begin) / period - 1e-9))
         for n in range(int((solver.time - begin) / period + 1e-9) + 1, count + 1):
             stop = end if n == count else begin + n * period
-            report = solver.advance(max(stop - solver.time, 0.0), rain, progress)
-            if report.time < stop - 1e-9 * max(abs(stop), 1.0):
+            report = solver.advance(max(stop - solver.time, 0.0), rain, progress and told)
+            if solver.time >= stop - 1e-9 * max(abs(stop), 1.0):
+                self.read()
+            if not goes_on:
                 break
-            self.read()
         return solver.advance(0.0, rain) if report is None else report
 
     def write(self, path):

@@ -85,6 +85,14 @@ def test_a_stopped_run_goes_on(rainsim, tmp_path, valley, monkeypatch):
     gauges.write_text(kept)
     longer = rainsim("flow", *WORDS, "--duration", "80", "--out", "out", "--resume")
     assert longer.code == 0 and table(tmp_path / "out/gauges.csv")[1][-1, 0] == 80
+    assert "between readings" not in longer.err
+    straight = rainsim("flow", *WORDS, "--duration", "80", "--out", "straight")
+    assert straight.code == 0
+    for name in ("gauges.csv", "depth.asc", "u.asc", "v.asc"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes()
+    assert rainsim("flow", *WORDS, "--duration", "83", "--out", "out", "--resume").code == 0
+    further = rainsim("flow", *WORDS, "--duration", "85", "--out", "out", "--resume")
+    assert further.code == 0 and "ended at 83 s, between readings every 10 s" in further.err
     other = rainsim("flow", *WORDS[:-4], "--manning", "0", "--duration", "90", "--out", "out",
                     "--resume")  # fmt: skip
     assert other.code == 2 and "was another" in other.error

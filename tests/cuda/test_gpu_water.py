@@ -82,3 +82,53 @@ def test_steps_that_are_recorded_are_those_of_the_cpu():
         assert gpu.advance(0.5) == solver.advance(0.5).substeps > 16
     assert np.abs(solver.depth - before).max() > 1e-3
     assert np.abs(gpu.depth - solver.depth).max() < 2e-6
+
+
+def test_conditions_act_as_on_the_cpu_and_a_saved_state_goes_on_to_the_same_bytes(tmp_path):
+    from rainsim.cuda.solver import GpuWaterSolver
+    from rainsim.water.conditions import Discharge, Rating, Stage
+    from rainsim.water.series import Series
+
+    def made():
+        y, x = np.mgrid[:64, :96] / 64
+        bed = 0.2 * np.sin(5 * x) * np.cos(4 * y) - 0.2 * x
+        conditions = [
+            Stage("south", Series([0, 10], [0.3, 0.5]), span=(10, 40)),
+            Discharge("west", Series([0, 10], [0.2, 0.6]), span=(20, 40)),
+            Discharge("north", -0.3, span=(0, 50)), Rating("east", [0.0, 1.0], [0.0, 2.0]),
+        ]  # fmt: skip
+        solver = WaterSolver(
+            bed, 1.0, scheme="lean", manning=0.02, storage=1e-4, conditions=conditions
+        )
+        solver.set_state(np.maximum(0.3 - bed, 0))
+        return solver
+
+    solver, rain = made(), 50 / 3.6e6
+    gpu, before = GpuWaterSolver(solver), solver.depth
+    for _ in range(5):
+        assert gpu.advance(1.0, rain) == solver.advance(1.0, rain).substeps
+    assert np.abs(gpu.depth - solver.depth).max() < 1e-5
+    assert np.abs(gpu.depth - before).max() > 0.03
+    found, wanted = gpu.ledger, solver.ledger
+    assert found.inflow == pytest.approx(wanted.inflow, rel=1e-4) and found.inflow > 1
+    assert found.outflow == pytest.approx(wanted.outflow, rel=1e-4) and found.outflow > 1
+    assert abs(found.residual) < 1e-6
+    gpu.save(tmp_path / "s.npz")
+    other = GpuWaterSolver(made())
+    other.load(tmp_path / "s.npz")
+    for each in (gpu, other):
+        each.advance(3.0, rain)
+    np.testing.assert_array_equal(gpu.depth, other.depth)
+    for a, b in zip(gpu.velocity, other.velocity, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_rain_on_dry_ground_flows_as_on_the_cpu():
+    from rainsim.cuda.solver import GpuWaterSolver
+
+    slope = -0.05 * np.arange(200.0) * np.ones((64, 1))
+    solver = WaterSolver(slope, 1.0, scheme="lean", boundary={"east": "open"}, manning=0.02)
+    gpu = GpuWaterSolver(solver)
+    for duration in (0.02, 5.0, 20.0):
+        assert gpu.advance(duration, 2e-5) == solver.advance(duration, 2e-5).substeps
+    assert np.abs(gpu.depth - solver.depth).max() < 1e-6 and gpu.flow.largest_speed() > 0.05

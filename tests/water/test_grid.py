@@ -114,6 +114,18 @@ def test_rain_on_a_slope_signals_the_exact_depth(dtype):
     assert solver.discharge("west") == 0.0
 
 
+@pytest.mark.parametrize("scheme", ["accurate", "lean"])
+def test_rain_on_dry_ground_flows_from_the_first_step_on(scheme):
+    slope = -0.1 * np.arange(12) * np.ones((6, 1))
+    solver = WaterSolver(slope, 1.0, scheme=scheme)
+    report = solver.advance(0.02, rain=1e-3)
+    fall = solver.gravity * 0.02 * 0.1  # m/s, what gravity makes of the slope in that step
+    assert report.substeps == 1 and report.max_speed == pytest.approx(fall, rel=0.01)
+    assert solver.advance(0.5, rain=1e-3).max_speed > 10 * fall
+    dry, level = WaterSolver(slope, 1.0, scheme=scheme), WaterSolver(0 * slope, 1.0, scheme=scheme)
+    assert dry.advance(0.5).max_speed == 0 == level.advance(0.5, rain=1e-3).max_speed
+
+
 @pytest.mark.parametrize(("dtype", "bound"), [(np.float64, 1e-12), (np.float32, 1e-9)])
 def test_ledger_closes_with_every_term_in_play(dtype, bound):
     bed, depth = rough_bed(32)

@@ -116,6 +116,22 @@ def test_a_state_of_another_solver_is_refused(changes, words, tmp_path):
         made("lean").load(tmp_path / "t.npz")
 
 
+def test_a_state_of_an_older_version_is_refused_in_one_line(tmp_path):
+    made("lean").save(tmp_path / "s.npz")
+    arrays = dict(np.load(tmp_path / "s.npz"))
+    made("lean").load(tmp_path / "s.npz")
+    del arrays["rises"]
+    for found in (1, None, 3):
+        arrays |= {"times": arrays["times"][:6], "version": np.int64(found or 0)}
+        if found is None:
+            del arrays["version"]
+        np.savez(tmp_path / "old.npz", **arrays)
+        rule = "at most 2 is read" if found == 3 else "version 1, at least 2 is read"
+        with pytest.raises(InputError, match=f"{rule}.*WaterSolver.save") as told:
+            made("lean").load(tmp_path / "old.npz")
+        assert "\n" not in str(told.value)
+
+
 def test_progress_sees_every_step_and_stops_the_solver():
     solver, times = made("accurate"), []
     report = solver.advance(5.0, rain=1e-5, progress=times.append)

@@ -22,9 +22,12 @@ from rainsim.cuda.jit import SIMULATED, cuda, tight_kernel
 from rainsim.cuda.warp import raise_to
 from rainsim.cuda.water.step_control import (
     CAP,
+    DEEPEST,
     EAST,
     EDGES_OPEN,
+    FLOOR,
     GRAVITY,
+    HIGHEST,
     LAST,
     LEAD,
     MOVE,
@@ -55,6 +58,7 @@ from rainsim.cuda.water.step_control import (
     is_last_block,
     known,
     plan,
+    raise_cap,
     raised,
 )
 from rainsim.grid import MAX_SPEED
@@ -170,11 +174,11 @@ def step(
     ny, nx, pitch, rows, kinds = layout
     gravity, rounding, dry = limits
     rubs = kinds & RUBS != 0  # the same for all threads: without it nothing of friction is done
-    tops = cuda.shared.array(2, np.int32)
+    tops = cuda.shared.array(4, np.int32)
     room = cuda.shared.array(THREADS, np.float64)
     through = cuda.shared.array(THREADS, np.float64)  # there, not in registers: few add to it
     lane = cuda.threadIdx.x
-    if lane < 2:
+    if lane < 4:
         tops[lane] = 0
     through[lane] = 0.0
     cuda.syncthreads()
@@ -311,16 +315,35 @@ def step(
             partial_out[P_DRAINED, block] += drained
             partial_out[P_GROUND, block] = ground
             partial_out[P_FILM, block] = held
+    from_rest = wets and control[SWIFT_NOW] == 0.0
+    if from_rest:  # the cap of dry ground would hold what fell on it
+        deepest, highest = ZERO, ZERO
+        if i < nx - PAD:
+            floor = np.float32(numbers[FLOOR])
+            for j in range(first, end):
+                at = np.uint64(j * pitch + i + LEAD)
+                here = w_out[np.uint64(3 * (1 - p) * (ny + 1) * pitch) + at]
+                deepest = max(deepest, here)
+                if here > ZERO:
+                    highest = max(highest, bed[at] + here - floor)
+        raise_to(tops, 2, deepest)
+        raise_to(tops, 3, highest)
     cuda.syncthreads()
     if lane > 0:
         return
     planned = known(control, state, now, numbers)
     cuda.atomic.max(state, REACH, tops[0])
     cuda.atomic.max(state, SWIFT, tops[1])
+    if from_rest:
+        cuda.atomic.max(state, DEEPEST, tops[2])
+        cuda.atomic.max(state, HIGHEST, tops[3])
     if is_last_block(state):
         waves, water = raised(state, REACH), raised(state, SWIFT)
         state[TICKET], state[PARITY] = 0, 1 - p
         control[REACH_NOW], control[SWIFT_NOW] = waves, water
+        if from_rest:
+            depth, level = raised(state, DEEPEST), raised(state, HIGHEST)
+            raise_cap(control, numbers[GRAVITY], depth, level)
         if not waves <= MAX_SPEED:
             state[UNSOUND] = 1
         plan(control, state, planned, waves, water)

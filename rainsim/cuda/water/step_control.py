@@ -43,6 +43,7 @@ PARTIAL = 6
 # `numbers`, float64: constants of the map
 (SPACING, GRAVITY, VISCOSITY, COURANT, FLOOR, LOSES, STORES) = range(7)
 
+AFTER_SOURCES = 2  # in WAITS: a step from rest has had its sources, its push is to come
 PLANNED = 1e-30  # s, of the time that is left when the last step is planned but has not run
 NEXT = np.uint64(1)  # as an index: one that may be negative would be tested for it
 LEAD = 32 - PAD  # floats before a row, so that the first cell begins a line of memory
@@ -95,6 +96,10 @@ def plan(control, state, planned, reach, swift):
     ) = planned  # fmt: skip
     moves = swift > 0.0
     state[RUNS] = 0
+    if waits == AFTER_SOURCES:
+        state[RUNS], state[WAITS] = 1, 0
+        control[MOVE], control[PUSH], control[PENDING], control[TAKE] = 0.0, pending, 0.0, -1.0
+        return
     if left <= PLANNED:
         control[LEFT] = left = 0.0  # the step that was planned has run
     if settled == 1 and not moves and rain == 0.0 and loses == 0.0:
@@ -131,8 +136,18 @@ def plan(control, state, planned, reach, swift):
             control[TAKE] = owed
             control[RAINED] = rained + owed * rain
             owed = 0.0
+            if not moves:  # gravity acts on the depth that is there once the rain has been added
+                state[WAITS] = AFTER_SOURCES
+                control[PUSH], control[PENDING] = 0.0, dt
         control[OWED] = owed
     state[SETTLED] = 1
+
+
+@cuda.jit(device=True)
+def raise_cap(control, gravity, deepest, highest):
+    """Raise the cap for water of that depth and that height above the lowest bed [m]."""
+    bound = 2.0 * math.sqrt(gravity * deepest) + math.sqrt(2.0 * gravity * highest)
+    control[CAP] = max(control[CAP], bound)
 
 
 @cuda.jit(device=True)
@@ -276,8 +291,7 @@ def refresh(control, state, now, numbers, w, bed, ny, nx, wide):
         state[SETTLED] = 0
     else:
         swift = control[SWIFT_NOW]
-    bound = 2.0 * math.sqrt(gravity * deepest) + math.sqrt(2.0 * gravity * highest)
-    control[CAP] = max(control[CAP], bound)
+    raise_cap(control, gravity, deepest, highest)
     control[LEFT] += now[DURATION]
     state[SUBSTEPS] = 0
     plan(control, state, known(control, state, now, numbers), reach, swift)

@@ -1,0 +1,230 @@
+"""Conditions at edges on a CUDA device: the host decides each step and treats the edges' cells.
+
+A `WaterSolver` of the same map stands on the host. Before each launch it is given the numbers of a
+strip along its conditions, and the functions of `rainsim.water.conditions` act on it as on the CPU;
+what they change goes back to the device. The rest of the map stays there. The step itself adds the
+rain, so a condition finds the rain of its step in its cells, where on the CPU the rain comes after.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rainsim.cuda.driver import fetch, send, to_device
+from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.cuda.water import step_control as at
+from rainsim.cuda.water.step_control import PARITY
+from rainsim.grid import SOURCE_PERIOD
+from rainsim.water.conditions import apply_conditions, let_in
+from rainsim.water.conserving import PAD
+from rainsim.water.rows import RUN
+from rainsim.water.sources import DRY_DEPTH
+
+THREADS = 128
+DEPTH, U, V, REMAINDER, FILM, NUMBERS = range(6)  # columns of a strip's table, and how many
+
+SPEEDS = [at.REACH_NOW, at.SWIFT_NOW]
+FIRST = "west", "south"  # the edges at which rows and columns begin
+
+
+@cuda_kernel
+def read_cells(state, cells, w, remainder, film, table_out):
+    """Copy the numbers of some cells into a table.
+
+    Parameters
+    ----------
+    state : see `step_control`
+    cells : device array of shape (n,), int64
+        Places in a map.
+    w : device array of shape (2 * 3 * map,), float32
+        Both copies of depth [m] and face velocities [m/s].
+    remainder, film : device arrays of shape (map,), float32 [m]
+    table_out : device array of shape (n, NUMBERS), float32
+    """
+    n = cuda.grid(1)
+    if n >= cells.shape[0]:
+        return
+    place, plane = cells[n], remainder.shape[0]
+    here = 3 * state[PARITY] * plane + place
+    for k in range(3):
+        table_out[n, k] = w[here + k * plane]
+    table_out[n, REMAINDER], table_out[n, FILM] = remainder[place], film[place]
+
+
+@cuda_kernel
+def write_cells(state, cells, table, w_out, remainder_out):
+    """Copy a table that `read_cells` made back to its cells, but for the films."""
+    n = cuda.grid(1)
+    if n >= cells.shape[0]:
+        return
+    place, plane = cells[n], remainder_out.shape[0]
+    here = 3 * state[PARITY] * plane + place
+    for k in range(3):
+        w_out[here + k * plane] = table[n, k]
+    remainder_out[place] = table[n, REMAINDER]
+
+
+class Edges:
+    """The conditions of a solver, for a `Water` of its map.
+
+    Parameters
+    ----------
+    water : rainsim.cuda.grid.Water
+    solver : WaterSolver
+        On the host; its conditions are used and changed, and of its fields the strip along them.
+
+    Attributes
+    ----------
+    came, left : float [m3]
+        Volumes that the conditions brought and took.
+    """
+
+    def __init__(self, water, solver):
+        self._water, self._solver = water, solver
+        marked = np.zeros(solver.flow.bed.shape, bool)
+        for condition in solver.conditions:  # the cells, their ghosts, the cells behind them
+            rows, columns = condition.at
+            marked[rows[0] - PAD : rows[-1] + 3, columns[0] - PAD : columns[-1] + 3] = True
+        self._at = np.nonzero(marked)
+        rows, columns = self._at
+        stream, count = water.stream, len(rows)
+        self._cells = to_device(rows * water.cells.width + columns + at.LEAD, stream)
+        self._table = to_device(np.zeros((count, NUMBERS), np.float32), stream)
+        self._grid = -(-count // THREADS), THREADS, stream
+        runs = [
+            (c.at[0][0], c.at[0][-1] + 1, west, min(west + RUN, c.at[1][-1] + 1))
+            for c in solver.conditions for west in range(c.at[1][0], c.at[1][-1] + 1, RUN)
+        ]  # fmt: skip
+        self._tiles, count = np.array(runs, np.int64), np.arange(len(runs))[:, None]
+        self._runs = np.hstack([self._tiles, count, count + 1])
+        self.came = self.left = 0.0
+        self._passed = self._late = 0.0  # m, see `book`
+
+    def book(self, ledger):
+        """Add what the conditions did to a `Ledger` of the device, in place; return it."""
+        area = self._water.cells.area
+        ledger.inflow += self.came
+        # The device has booked what came in through faces of walls as outflow less than 0.
+        ledger.outflow += self.left + area * self._passed
+        ledger.ground += area * self._late  # the last step changed the cells after its sums
+        return ledger
+
+    def advance(self, end):
+        """Step to the time `end` [s]; return the steps.
+
+        A frame of no duration must have begun, see `Water.begin`.
+        """
+        solver, substeps = self._solver, 0
+        self._receive()
+        while end > solver.time:
+            left = end - solver.time
+            steps = max(1, math.ceil(left / solver._stable_step(left)))
+            self._step(left / steps, last=steps == 1)
+            substeps += 1
+            solver.time = end if steps == 1 else solver.time + left / steps
+            self._water.require_sound(self._state)
+        account = self._water.account
+        send(account.control, self._control, self._water.stream)  # with the speeds of what came in
+        account.close()
+        return substeps
+
+    def _step(self, dt, last):
+        """Advance by `dt` [s], as `WaterSolver._step` does."""
+        solver, flow, sources, take = self._solver, self._solver.flow, self._solver.sources, -1.0
+        let_in(solver, solver.time, solver.time + dt)
+        if flow.is_at_whole_step:
+            self._launch(0.0, 0.5 * dt)
+        if sources.rain_sum > 0.0 or sources.has_storage or sources.has_losses:
+            sources.unbooked_time += dt
+            if last or sources.unbooked_time >= SOURCE_PERIOD:
+                take, sources.unbooked_time = sources.unbooked_time, 0.0
+        moves = flow.moves
+        if moves:
+            flow._note_entries(dt / solver.spacing, flow.bed.dtype)
+            if flow.open_edges():
+                self._passed += sum(float(c.passes.sum()) for c in solver.conditions)
+            self._launch(dt, dt, take, last)
+        deep = self._standing()
+        came, left = apply_conditions(solver, solver.time, solver.time + dt, DRY_DEPTH)
+        self.came, self.left = self.came + came, self.left + left
+        if moves:
+            self._late = self._standing() - deep
+            self._send()
+        else:
+            self._late = 0.0
+            if take >= 0.0:
+                self._launch(0.0, 0.0, take)
+            self._launch(0.0, dt, last=last)
+
+    def _standing(self):
+        """Return the depths of the conditions' cells, summed [m], float64."""
+        water = self._solver.flow.water
+        return sum(
+            float(water.h[c.at].sum(dtype=np.float64) + water.remainder[c.at].sum(dtype=np.float64))
+            for c in self._solver.conditions
+        )
+
+    def _launch(self, move, push, take=-1.0, last=False):
+        """Queue one launch that moves, pushes and takes sources over these times [s]; wait."""
+        solver, control, state = self._solver, self._control, self._state
+        self._send()
+        # With no time left the device plans no step of its own after this one.
+        control[[at.LEFT, at.PENDING, at.MOVE, at.PUSH, at.TAKE]] = 0.0, 0.0, move, push, take
+        control[at.CAP] = max(control[at.CAP], solver.flow.cap)
+        if take >= 0.0:
+            control[at.RAINED] += take * solver.sources.rain_sum
+        state[[at.RUNS, at.LAST, at.WAITS, at.SETTLED]] = 1, last, 0, 1
+        account, stream = self._water.account, self._water.stream
+        send(account.control, control, stream)
+        send(account.state, state, stream)
+        self._water.step()
+        # The device leaves out the faces of walls, through which the conditions let water in.
+        waves, faces = solver.flow.speeds_of(move, push, self._runs, self._tiles)
+        self._receive(waves, faces)
+
+    def _mirror(self):
+        """Mirror the water in the ghosts beyond the conditions, as at all walls of the CPU."""
+        water = self._solver.flow.water
+        for condition in self._solver.conditions:
+            is_across, is_first = condition.edge in ("west", "east"), condition.edge in FIRST
+            along, across = condition.at if is_across else condition.at[::-1]
+            h, w, v = (
+                (water.h, water.u, water.v) if is_across else (water.h.T, water.v.T, water.u.T)
+            )
+            last, out, near = across[0], -1 if is_first else 1, slice(along[0] - PAD, along[-1] + 4)
+            for k in range(1, PAD + 1):
+                for field in (h, v):
+                    field[near, last + k * out] = field[near, last + (1 - k) * out]
+            edge = last if is_first else last + 1
+            w[near, edge + out] = -w[near, edge - out]
+
+    def _send(self):
+        """Write the strip to the device, with what comes in through its faces."""
+        self._mirror()
+        self._solver.flow._set_entries()
+        water, (h, remainder, u, v) = self._water, self._solver.flow.water
+        table = np.zeros((len(self._at[0]), NUMBERS), np.float32)
+        for k, field in ((DEPTH, h), (U, u), (V, v), (REMAINDER, remainder)):
+            table[:, k] = field[self._at]
+        send(self._table, table, water.stream)
+        fields, remainder, _ = water.arrays
+        write_cells[self._grid](water.account.state, self._cells, self._table, fields, remainder)
+
+    def _receive(self, waves=0.0, faces=0.0):
+        """Take the strip, the speeds, at least those given [m/s], and the account."""
+        water, flow = self._water, self._solver.flow
+        account, (h, remainder, u, v) = water.account, flow.water
+        read_cells[self._grid](account.state, self._cells, *water.arrays, self._table)
+        table = fetch(self._table, water.stream)
+        film = self._solver.sources.film
+        for k, field in ((DEPTH, h), (U, u), (V, v), (REMAINDER, remainder), (FILM, film)):
+            field[self._at] = table[:, k]
+        self._control, self._state = (
+            fetch(array, water.stream) for array in (account.control, account.state)
+        )
+        speeds = np.maximum(self._control[SPEEDS], (waves, faces))
+        flow.wave_speed, flow.water_speed = self._control[SPEEDS] = speeds.tolist()
+        flow.cap = max(flow.cap, float(self._control[at.CAP]))
+        flow.is_at_whole_step = self._state[at.WAITS] == 1
