@@ -96,7 +96,7 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), rows=None, 
 
     The camera is in the ground frame. Water does not move on within the readout [s], drops do. Flow
     is not among the AOVs `names`; `rows` is the height of all bands but the last, by default chosen
-    band by band; a GPU needs ROWS, for it makes its memory anew for each height. `sensor` has
+    band by band; a GPU needs ROWS, for it allocates its memory again for each height. `sensor` has
     `first_row` and `height` of `band`.
     """
     conductor, parts, notes = renderer.conductor, [], []
