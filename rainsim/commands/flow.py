@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
+from rainsim.commands.given import require_backend
 from rainsim.commands.status import Status
 from rainsim.errors import InputError, ParameterError, require_positive
 
@@ -122,6 +123,7 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
     duration = require_positive("--duration", duration, "s")
     period = given["period"]
     period = duration / 100 if period is None else require_positive("--period", period, "s")
+    require_backend(given["backend"])
     if given["depth"] is not None and given["level"] is not None:
         raise ParameterError("--depth and --level are both given; leave one out")
     files = [bed, *_files_in(given)]

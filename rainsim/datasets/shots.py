@@ -16,7 +16,7 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.render.shutter import motion_of
 from rainsim.sensors.glass import wide_camera
 from rainsim.sensors.optics import Warps, behind_glass, warped_facts, warped_layers
-from rainsim.sensors.rolling import ROWS, STILL, Motion, draw_rolling
+from rainsim.sensors.rolling import STILL, Motion, draw_rolling
 from rainsim.shading.wetness import paving_dampness
 from rainsim.terrain.pond import without_images
 
@@ -146,7 +146,6 @@ class Shots:
                 motion = Motion(*motion_of(path, index, config.fps))
             own = self.views[index].camera
             sensor = {"first_row": own.cy - path[index].cy, "height": own.height}
-            sensor["rows"] = ROWS if self.backend == "cuda" else None
             yield draw_rolling(renderer, path[index], state, motion, self.readout, names, **sensor)
 
     def _behind_glass(self, view, picture, clear_air, rate, config):

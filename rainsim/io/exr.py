@@ -8,6 +8,7 @@ import numpy as np
 
 from rainsim.errors import InputError, RainsimError
 from rainsim.io.files import replacing
+from rainsim.numerics.color_spaces import REC709, to_rec709
 
 LARGEST_HALF = np.float32(65504)
 BRIGHT = 8.0  # display white
@@ -117,3 +118,13 @@ def read_parts(path):
     if [(name, len(channels)) for name, (channels, _) in found.items()] != wanted:
         raise InputError(f"{path} cannot be read as OpenEXR: {fault}; write it again")
     return found
+
+
+def light_of(channels, header):
+    """Return the light of a part of `read_parts` in linear Rec. 709, (height, width, 3).
+
+    Its channels R, G and B are in the space of the header's chromaticities; without them in
+    Rec. 709, as OpenEXR has it.
+    """
+    matrix = to_rec709(header.get("chromaticities", REC709))
+    return np.stack([channels[name] for name in "RGB"], axis=-1) @ matrix.T

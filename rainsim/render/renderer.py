@@ -34,6 +34,8 @@ class Renderer:
         Scene, light, weather and ground; its `frame` has the inputs and buffers of the last
         picture by name.
     passes : Passes
+    takes_any_height : bool
+        Whether a picture of another height than the last costs nothing more.
 
     Examples
     --------
@@ -42,6 +44,8 @@ class Renderer:
     >>> picture.shape, report.aovs["depth"].shape
     ((48, 64, 3), (48, 64))
     """
+
+    takes_any_height = True
 
     def __init__(self, scene, terrain, config, first_camera):
         self.conductor = Conductor(scene, terrain, config, first_camera)

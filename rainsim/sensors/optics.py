@@ -22,7 +22,7 @@ from rainsim.render.shutter import motion_of
 from rainsim.scene.view import slopes
 from rainsim.sensors.glass import Pane, caps_on, pane_window, through_glass, wide_camera
 from rainsim.sensors.lens import Lens, lens_warp
-from rainsim.sensors.rolling import ROWS, Motion, check_readout, check_rows, draw_rolling
+from rainsim.sensors.rolling import Motion, check_readout, check_rows, draw_rolling
 from rainsim.shading.composite import encode
 
 MOST_SAMPLES = 256
@@ -162,7 +162,6 @@ class Taking:
     def __init__(self, optics, cameras, scene, config, names, backend="cpu", exr=None):
         self.optics, self._cameras, self._names = optics, list(cameras), tuple(names)
         self._exr, self._config, self._actors = exr, config, scene.actors
-        self._rows = ROWS if backend == "cuda" else None
         optics.check(backend, names, exr, config)
         self._warps, seen = Warps(), {}
         for camera in self._cameras:  # of each kind one is tried
@@ -203,7 +202,7 @@ class Taking:
         if not self.optics.readout:
             return renderer.draw(camera, state, camera_end, names)
         own = self._cameras[0 if len(self._path) == 1 else state.index]
-        sensor = {"first_row": own.cy - here.cy, "height": own.height, "rows": self._rows}
+        sensor = {"first_row": own.cy - here.cy, "height": own.height}
         return draw_rolling(renderer, here, state, motion, self.optics.readout, names, **sensor)
 
     def _sampled(self, exposure, renderer, camera, here, state, camera_end, motion):

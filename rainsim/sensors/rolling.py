@@ -96,9 +96,10 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), rows=None, 
 
     The camera is in the ground frame. Water does not move on within the readout [s], drops do. Flow
     is not among the AOVs `names`; `rows` is the height of all bands but the last, by default chosen
-    band by band; a GPU needs ROWS, for it allocates its memory again for each height. `sensor` has
-    `first_row` and `height` of `band`.
+    band by band, or ROWS where another height costs the renderer more. `sensor` has `first_row` and
+    `height` of `band`.
     """
+    rows = rows or (None if renderer.takes_any_height else ROWS)
     conductor, parts, notes = renderer.conductor, [], []
     frame, exposure = conductor.wet_scene.frame, conductor.config.at(state.time).render.exposure
     row_time = readout / (sensor.get("height") or camera.height)

@@ -37,6 +37,14 @@ def table(path):
     return names, np.array(rows, float)
 
 
+def test_a_missing_device_is_said_before_any_work(rainsim, tmp_path, valley, monkeypatch):
+    monkeypatch.setattr("rainsim.cuda.trouble", lambda: "the CUDA driver finds no GPU")
+    monkeypatch.setattr(flow, "_solver", lambda *_: pytest.fail("the solver was made"))
+    found = rainsim("flow", *WORDS, "--duration", "20", "--backend", "cuda", "--out", "out")
+    assert found.code != 0 and "finds no GPU" in found.error and "\n" not in found.error.strip()
+    assert not (tmp_path / "out").exists()
+
+
 def test_tables_become_maps_and_gauges_with_a_closed_account(rainsim, tmp_path, valley):
     done = rainsim("flow", *WORDS, "--duration", "60", "--out", "out", "--json")
     assert done.code == 0, done.err

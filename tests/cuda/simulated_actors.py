@@ -6,6 +6,7 @@ import functools
 import numpy as np
 import pytest
 
+from naive import decibel
 from rainsim import simulation
 from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import Config
@@ -44,11 +45,6 @@ def scene():
 @pytest.fixture(scope="module")
 def terrain(scene):
     return with_footprints(extract_terrain(scene, CONFIG), scene)
-
-
-def decibel(a, b):
-    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / 255**2
-    return -10 * np.log10(max(error, 1e-12))
 
 
 def test_the_map_follows_what_moves_over_it(terrain):

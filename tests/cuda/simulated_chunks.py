@@ -7,6 +7,7 @@ import pytest
 
 import rainsim.scene.pages
 from factories import splats as made_splats
+from naive import decibel
 from rainsim.actors.actor import Actor, box_of, with_actors
 from rainsim.actors.motion import Track
 from rainsim.config.settings import Config, mm_per_hour
@@ -54,11 +55,6 @@ def folder(tmp_path_factory):
     scene = import_scene(out, cameras=whole.cameras, ground_frame=whole.ground_frame)
     write_scene(out, scene)
     return out
-
-
-def decibel(a, b, peak=255.0):
-    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / peak**2
-    return -10 * np.log10(max(error, 1e-12))
 
 
 def config(**changes):

@@ -6,6 +6,7 @@ import functools
 import numpy as np
 import pytest
 
+from naive import decibel
 from rainsim import simulation
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
@@ -47,11 +48,6 @@ def config(**changes):
         "film": "environment",
     }  # fmt: skip
     return Config().replace(**{**base, **changes})
-
-
-def decibel(a, b):
-    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / 255**2
-    return -10 * np.log10(max(error, 1e-12))
 
 
 def drawn(renderer, scene, camera, states):

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 
+from naive import decibel
 from rainsim import pipeline
 from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import Config
@@ -20,11 +21,6 @@ CONFIG = Config.from_preset("downpour").replace(past=6e-3, extent=1.0, spacing=0
 BEHIND = 12  # frame at whose time, 0.5 s, the box stands behind the puddle
 LABELS = ("actor_id", "flow", "flow_mask", "depth", "class_id")
 STREET = Config.from_preset("downpour").replace(width=320, frames=6)
-
-
-def decibel(a, b, most=255):
-    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / most**2
-    return -10 * np.log10(max(error, 1e-12))
 
 
 @pytest.fixture(scope="module")

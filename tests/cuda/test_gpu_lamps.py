@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
+from naive import decibel
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.render.renderer import Renderer as OnCpu
@@ -16,11 +17,6 @@ from scenes import lamp_scene
 
 pytestmark = pytest.mark.gpu
 DUSK = Config.from_preset("dusk").replace(film="mirror", width=320)
-
-
-def decibel(a, b):
-    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / 255**2
-    return -10 * np.log10(max(error, 1e-12))
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from naive import decibel
 from rainsim.config.settings import Config
 from rainsim.pipeline import FrameSequence, extract_terrain
 from scenes import tiny_scene
@@ -14,11 +15,6 @@ MOMENTS = 0, 0, 0, 1, 1, 2, 7, 7, 8, 12  # slow motion, then gaps
 CONFIG = Config.from_preset("downpour").replace(
     past=6e-3, extent=1.0, spacing=0.025, width=320, scheme="lean", frames=len(MOMENTS)
 )
-
-
-def decibel(a, b):
-    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / 255**2
-    return -10 * np.log10(max(error, 1e-12))
 
 
 def test_frames_at_other_times_are_those_of_the_cpu_and_those_drawn_alone():

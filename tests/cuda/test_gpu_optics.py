@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from naive import decibel
 from rainsim.config.settings import Config
 from rainsim.pipeline import FrameSequence, extract_terrain
 from rainsim.sensors.glass import Pane
@@ -17,11 +18,6 @@ OPTICS = {
     "samples": Optics(samples=3), "rolling": Optics(readout=0.015),
     "glass": Optics(pane=Pane(age=20.0, speed=10.0)),
 }  # fmt: skip
-
-
-def decibel(a, b):
-    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / 255**2
-    return -10 * np.log10(max(error, 1e-12))
 
 
 def frames(scene, optics, backend):

@@ -6,6 +6,7 @@ import inspect
 import numpy as np
 import pytest
 
+from naive import decibel
 from rainsim import pipeline
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
@@ -40,11 +41,6 @@ def config(**changes):
 
 def frame(scene, camera, **changes):
     return next(render_rain(scene, [camera], config(**changes)))
-
-
-def decibel(a, b):
-    error = np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2) / 255**2
-    return -10 * np.log10(max(error, 1e-12))
 
 
 def test_report_names_stages_and_closes_the_ledger(scene, camera):

@@ -39,7 +39,11 @@ class Renderer:
         Scene, light, weather and ground; its capture's rasterizer draws on the device.
     frame : DeviceFrame
     queue : FrameQueue
+    takes_any_height : bool
+        No: memory is allocated again and queues are recorded again.
     """
+
+    takes_any_height = False
 
     @one_fault()
     def __init__(self, scene, terrain, config, first_camera):
