@@ -179,7 +179,7 @@ def _rig(given, config, layout):
     """Return the `Rig` of --rig, None without one."""
     if given["rig"] is None:
         return None
-    own = [key for key in ("lens", "rolling", "glass", "lidar") if given[key]]
+    own = [key for key in ("lens", "rolling", "glass", "lidar", "width", "height") if given[key]]
     if own or not (given["drive"] or given["path"] is not None):
         raise ParameterError(
             f"--rig is given with --{own[0]}; the rig's file has the sensors; leave that out"

@@ -59,6 +59,8 @@ def split_note(views, layout):
         parts = {"train": len(train), "val": held}
     else:
         where = "card.json names them, files are not split" if held else "files are not split"
+        if held and layout == "kitti":  # the second picture of a pair is the next view
+            where += "; in a sequence the pair before each shows it, too: do not train on that"
         return f"{held} of {_views(count)} held out for tests; {where}"
     text = f"{_views(count)}: " + ", ".join(f"{n} in {name}" for name, n in parts.items())
     empty = [name for name, n in parts.items() if n == 0]

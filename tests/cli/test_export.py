@@ -75,7 +75,9 @@ def test_a_rig_goes_on_where_it_was_killed_too(export, tmp_path):
     words = "--rig", "rig.toml", "--rain", "25", "--layout", "kitti_object", "--views", "2"
     drive = "--drive", "--fps", "2"
     assert "must follow --drive or --path" in export("none", *words).err
-    assert "leave that out" in export("none", *words, *drive, "--lidar", "hdl64").err
+    for own in ("--lidar", "hdl64"), ("--width", "32"):  # the file's sensors have their own
+        said = export("none", *words, *drive, *own).err
+        assert f"--rig is given with {own[0]}; the rig's file has the sensors" in said
     done = export("whole", *words, *drive)
     assert done.code == 0, done.err
     card = json.loads((tmp_path / "whole/card.json").read_text())

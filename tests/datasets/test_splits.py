@@ -73,7 +73,11 @@ def test_an_empty_list_is_said_with_what_fills_it():
         assert "WARNING" not in note(count, told)
     assert note(4, 2, "cityscapes") == "4 views: 2 in train, 2 in val"
     assert note(4, 1, "cityscapes").endswith("train holds no picture; give a greater --hold-out")
-    assert note(9, 8, "kitti").startswith("1 of 9 views held out for tests; card.json names them")
+    assert note(9, 8, "colmap") == (
+        "1 of 9 views held out for tests; card.json names them, files are not split"
+    )
+    told = note(9, 8, "colmap") + "; in a sequence the pair before each shows it, too: do not train"
+    assert note(9, 8, "kitti").startswith(told)
     assert note(9, 0, "colmap") == "0 of 9 views held out for tests; files are not split"
 
 
