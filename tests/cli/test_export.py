@@ -17,13 +17,13 @@ from rainsim.scene.library import load_scene
 from rainsim.scene.types import Camera
 from rainsim.sensors.lens import Lens
 
-MAP = ["--spacing", "0.04", "--extent", "1", "--width", "64", "--relight", "off"]
+MAP = ["--spacing", "0.04", "--extent", "1", "--relight", "off"]
 
 
 @pytest.fixture
 def export(rainsim, scene_folder):
     """Return a function that exports the tiny scene into the folder `out`."""
-    return partial(rainsim, "export", scene_folder, *MAP, "--out")
+    return partial(rainsim, "export", scene_folder, *MAP, "--width", "64", "--out")
 
 
 def files_in(folder):
@@ -67,7 +67,8 @@ def test_pairs_of_clear_and_rainy_pictures(export, tmp_path):
     assert "| 50 | `rain/50mm` |" in text
 
 
-def test_a_rig_goes_on_where_it_was_killed_too(export, tmp_path):
+def test_a_rig_goes_on_where_it_was_killed_too(rainsim, scene_folder, tmp_path):
+    export = partial(rainsim, "export", scene_folder, *MAP, "--out")
     pair = "".join(f'[[camera]]\nname = "{n}"\nat = [0, {y}, 0]\nwidth = 48\nheight = 32\n'
                    f"fov = 60\n" for n, y in (("left", 0.05), ("right", -0.05)))  # fmt: skip
     lidar = '[[lidar]]\nname = "top"\nsensor = "vlp16"\nat = [0, 0, 0.1]\n'
