@@ -57,14 +57,6 @@ def read(name):
     return imageio.imread(path_of(name))
 
 
-def others(name):
-    """Return the pictures of a case by other kinds of processors, NAME-KIND.png.
-
-    Those with AVX-512 shade single pixels of the bicycle's lawn otherwise.
-    """
-    return [imageio.imread(path) for path in sorted(FOLDER.glob(f"{name}-*.png"))]
-
-
 def compared(found, wanted):
     """Return the PSNR [dB], the share of changed pixels, and the worst pixel (row, column)."""
     error = np.abs(found.astype(int) - wanted)

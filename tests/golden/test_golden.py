@@ -1,5 +1,7 @@
 """Golden frames: both built-in scenes, every preset, against pictures kept here."""
 
+from dataclasses import replace
+
 import imageio.v3 as imageio
 import numpy as np
 import pytest
@@ -15,7 +17,6 @@ from regenerate import (
     WIDTH,
     compared,
     golden_frames,
-    others,
     path_of,
     read,
 )
@@ -29,7 +30,6 @@ def scenes(bicycle_scene, street_scene):
 @pytest.mark.parametrize("name", CASES)
 def test_frames_are_as_they_were(scenes, name, tmp_path):
     found, wanted = golden_frames(scenes[CASES[name][0]], name), read(name)
-    wanted = max((wanted, *others(name)), key=lambda kept: compared(found, kept)[0])
     psnr, changed, (row, column) = compared(found, wanted)
     if psnr < LEAST_DECIBEL or changed > MOST_CHANGED:
         picture = tmp_path / f"{name}.png"
@@ -52,9 +52,20 @@ def test_a_small_change_is_found(scenes):
     assert compared(wanted, wanted)[:2] == (np.inf, 0)
 
 
+def test_frames_are_not_decided_by_rounding(scenes):
+    """Turns of splats that differ in their last bit, as between processors, draw the same."""
+    name, scene = "bicycle_drizzle", scenes["bicycle"]
+    turns, rng = scene.splats.rotation, np.random.default_rng(1)
+    way = np.where(rng.random(turns.shape) < 0.5, -np.inf, np.inf).astype(np.float32)
+    other = replace(scene, splats=replace(scene.splats, rotation=np.nextafter(turns, way)))
+    assert (other.splats.rotation != turns).all()
+    psnr, changed, _ = compared(golden_frames(other, name), golden_frames(scene, name))
+    assert psnr > LEAST_DECIBEL and changed < MOST_CHANGED
+
+
 def test_every_preset_and_both_scenes_are_kept():
     assert {case[2] for case in CASES.values()} == set(preset_names())
     assert {case[0] for case in CASES.values()} == {"bicycle", "street"}
-    assert {path.stem.split("-")[0] for path in FOLDER.glob("*.png")} == set(CASES)
+    assert {path.stem for path in FOLDER.glob("*.png")} == set(CASES)
     assert all(read(name).shape == (2 * HEIGHT, WIDTH, 3) for name in CASES)
     assert sum(path_of(name).stat().st_size for name in CASES) < 300_000
