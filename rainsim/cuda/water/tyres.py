@@ -90,9 +90,7 @@ class Road:
             stream.synchronize()
             self._units = to_device(np.zeros(room, np.int64), stream)
         send(self._units[:count], np.rint(depth).astype(np.int64), stream)
-        put_down[self._cells.grid()](
-            self._cells.on_device, self._units, count, self._water.waiting
-        )
+        put_down[self._cells.grid()](self._cells.on_device, self._units, count, self._water.waiting)
 
 
 class DeviceTyres(Tyres):
