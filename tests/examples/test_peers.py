@@ -65,6 +65,7 @@ def test_a_program_is_given_the_bench_s_case_and_its_error(load, capsys):
         common.main("ours", prepare, ["pond"])
 
 
+@pytest.mark.filterwarnings("ignore")  # what the programs leave open is theirs
 @pytest.mark.parametrize("name", NEEDS)
 def test_a_program_that_is_installed_solves_the_dam_break(load, name):
     pytest.importorskip(NEEDS[name])
