@@ -2,6 +2,7 @@
 
 Hydraulics codes on the cases of `rainsim bench water`: one run of each code on two shared cores of
 a server processor, one thread; seconds are processor time, errors relative L1, as in the bench.
+They are older than the table of docs/compared.md, whose scripts are in examples/peers.
 Cases that a code did not finish are left out, and so is rain on a slope, whose friction the codes
 define in other ways.
 """

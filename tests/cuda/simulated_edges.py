@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from rainsim.cli import cli
 from rainsim.cuda import simulated
 from rainsim.cuda.solver import GpuWaterSolver
 from rainsim.errors import DivergedError
@@ -145,3 +147,21 @@ def test_water_that_is_too_fast_is_told():
     solver.set_state(0.1, u=2000.0)
     with pytest.raises(DivergedError, match=r"smaller courant than 0\.5"):
         GpuWaterSolver(solver).advance(1e-6)
+
+
+def test_flow_runs_on_the_device_and_refuses_other_schemes_in_one_line(tmp_path, monkeypatch):
+    def flow(*words):
+        words = "flow", "bed.npy", "--spacing", "1", "--duration", "0.2", *words
+        return CliRunner().invoke(cli, [*words, "--backend", "cuda"], prog_name="rainsim")
+
+    monkeypatch.chdir(tmp_path)
+    np.save("bed.npy", np.zeros((N, N + 3)))
+    for words in (["--scheme", "accurate"], ["--scheme", "paper"], ["--double"]):
+        refused = flow(*words, "--out", "refused")
+        (line,) = (line for line in refused.stderr.splitlines() if line.startswith("Error"))
+        assert refused.exit_code == 2 and 'it must be "lean" in float32' in line
+        assert refused.stderr.rstrip().endswith(line) and "Traceback" not in refused.output
+        assert not list(tmp_path.glob("refused/*.np*"))
+    done = flow("--discharge", "west=1", "--out", "done")
+    assert done.exit_code == 0 and "auto: the scheme of a CUDA device" in done.stderr
+    assert np.load("done/depth.npy").sum() == pytest.approx(0.2, rel=1e-3)

@@ -20,6 +20,7 @@ CUDA_ONLY = {
     "timing.py",  # events
     "warp.py",  # instructions of a warp
     "water/account.py",  # the ledger and times, which are numbers of the solver on the CPU
+    "water/cells.py",  # cells of the water for the host, which has them on the CPU
     "water/flow.py",  # the whole step of the water in one launch
     "water/step_control.py",  # the length of a step, chosen on the device
 }

@@ -12,58 +12,17 @@ import math
 
 import numpy as np
 
-from rainsim.cuda.driver import fetch, send, to_device
-from rainsim.cuda.jit import cuda, cuda_kernel
+from rainsim.cuda.driver import fetch, send
 from rainsim.cuda.water import step_control as at
-from rainsim.cuda.water.step_control import PARITY
+from rainsim.cuda.water.cells import DEPTH, FILM, REMAINDER, Cells, U, V
 from rainsim.grid import SOURCE_PERIOD
 from rainsim.water.conditions import apply_conditions, let_in
 from rainsim.water.conserving import PAD
 from rainsim.water.rows import RUN
 from rainsim.water.sources import DRY_DEPTH
 
-THREADS = 128
-DEPTH, U, V, REMAINDER, FILM, NUMBERS = range(6)  # columns of a strip's table, and how many
-
 SPEEDS = [at.REACH_NOW, at.SWIFT_NOW]
 FIRST = "west", "south"  # the edges at which rows and columns begin
-
-
-@cuda_kernel
-def read_cells(state, cells, w, remainder, film, table_out):
-    """Copy the numbers of some cells into a table.
-
-    Parameters
-    ----------
-    state : see `step_control`
-    cells : device array of shape (n,), int64
-        Places in a map.
-    w : device array of shape (2 * 3 * map,), float32
-        Both copies of depth [m] and face velocities [m/s].
-    remainder, film : device arrays of shape (map,), float32 [m]
-    table_out : device array of shape (n, NUMBERS), float32
-    """
-    n = cuda.grid(1)
-    if n >= cells.shape[0]:
-        return
-    place, plane = cells[n], remainder.shape[0]
-    here = 3 * state[PARITY] * plane + place
-    for k in range(3):
-        table_out[n, k] = w[here + k * plane]
-    table_out[n, REMAINDER], table_out[n, FILM] = remainder[place], film[place]
-
-
-@cuda_kernel
-def write_cells(state, cells, table, w_out, remainder_out):
-    """Copy a table that `read_cells` made back to its cells, but for the films."""
-    n = cuda.grid(1)
-    if n >= cells.shape[0]:
-        return
-    place, plane = cells[n], remainder_out.shape[0]
-    here = 3 * state[PARITY] * plane + place
-    for k in range(3):
-        w_out[here + k * plane] = table[n, k]
-    remainder_out[place] = table[n, REMAINDER]
 
 
 class Edges:
@@ -89,10 +48,8 @@ class Edges:
             marked[rows[0] - PAD : rows[-1] + 3, columns[0] - PAD : columns[-1] + 3] = True
         self._at = np.nonzero(marked)
         rows, columns = self._at
-        stream, count = water.stream, len(rows)
-        self._cells = to_device(rows * water.cells.width + columns + at.LEAD, stream)
-        self._table = to_device(np.zeros((count, NUMBERS), np.float32), stream)
-        self._grid = -(-count // THREADS), THREADS, stream
+        self._cells = Cells(water, len(rows))
+        self._cells.choose(rows * water.cells.width + columns + at.LEAD)
         runs = [
             (c.at[0][0], c.at[0][-1] + 1, west, min(west + RUN, c.at[1][-1] + 1))
             for c in solver.conditions for west in range(c.at[1][0], c.at[1][-1] + 1, RUN)
@@ -204,23 +161,19 @@ class Edges:
         """Write the strip to the device, with what comes in through its faces."""
         self._mirror()
         self._solver.flow._set_entries()
-        water, (h, remainder, u, v) = self._water, self._solver.flow.water
-        table = np.zeros((len(self._at[0]), NUMBERS), np.float32)
+        h, remainder, u, v = self._solver.flow.water
         for k, field in ((DEPTH, h), (U, u), (V, v), (REMAINDER, remainder)):
-            table[:, k] = field[self._at]
-        send(self._table, table, water.stream)
-        fields, remainder, _ = water.arrays
-        write_cells[self._grid](water.account.state, self._cells, self._table, fields, remainder)
+            self._table[k] = field[self._at]
+        self._cells.write(self._table)
 
     def _receive(self, waves=0.0, faces=0.0):
         """Take the strip, the speeds, at least those given [m/s], and the account."""
         water, flow = self._water, self._solver.flow
         account, (h, remainder, u, v) = water.account, flow.water
-        read_cells[self._grid](account.state, self._cells, *water.arrays, self._table)
-        table = fetch(self._table, water.stream)
+        self._table = self._cells.read()
         film = self._solver.sources.film
         for k, field in ((DEPTH, h), (U, u), (V, v), (REMAINDER, remainder), (FILM, film)):
-            field[self._at] = table[:, k]
+            field[self._at] = self._table[k]
         self._control, self._state = (
             fetch(array, water.stream) for array in (account.control, account.state)
         )

@@ -11,9 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.cuda.driver import fetch, send, to_device
-from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
+from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.rain.moving_surfaces import MovingHeights, joined_rows
-from rainsim.cuda.water.step_control import DRAINED, DROPPED, PARITY, UNIT
+from rainsim.cuda.water.cells import DEPTH, FILM, REMAINDER, WAITING, Cells
+from rainsim.cuda.water.step_control import UNIT
 from rainsim.io.states import NO_IDS, NO_THROWS, NO_TRACKS
 from rainsim.jit import may_run_beside
 from rainsim.rain.moving_surfaces import MovingSurfaces
@@ -21,65 +22,9 @@ from rainsim.water.sources import DRY_DEPTH, lift_cells
 from rainsim.water.tyres import Tyres
 from rainsim.water.window_tyres import tyres_of
 
-THREADS = 8 if SIMULATED else 128
 ROOM = 4096  # cells that there is room for at first
-H, REMAINDER, FILM, WAITING = range(4)  # rows of the table of cells; drops that wait in UNIT
+LIFTED = [DEPTH, REMAINDER, FILM]  # rows of the table of cells that tyres change
 NOTHING_THROWN = {"tracks": NO_TRACKS, "throws": NO_THROWS, "throw_id": NO_IDS}
-
-
-@cuda_kernel
-def read_cells(cells, count, state, plane, w, remainder, film, waiting, table_out):
-    """Read the water of some cells.
-
-    Parameters
-    ----------
-    cells : device array of shape (room,), int64
-        Their places.
-    count : int
-    state : device array
-        See `step_control`.
-    plane : int
-        Numbers of one map.
-    w, remainder, film : device arrays, float32
-        As `flow.step` has them.
-    waiting : device array, int64
-        As `step_control.take_in` has it.
-    table_out : device array of shape (4, room), float64
-        See H to WAITING.
-    """
-    n = cuda.grid(1)
-    if n < count:
-        at = cells[n]
-        table_out[H, n] = w[3 * state[PARITY] * plane + at]
-        table_out[REMAINDER, n], table_out[FILM, n] = remainder[at], film[at]
-        table_out[WAITING, n] = waiting[at]
-
-
-@cuda_kernel
-def write_cells(
-    cells, count, table, dropped, taken, state, plane, control_out, w_out, remainder_out, film_out,
-    waiting_out,
-):  # fmt: skip
-    """Write the water of some cells back; no drops wait there any more.
-
-    Parameters
-    ----------
-    cells, count, state, plane
-        As `read_cells` takes them.
-    table : device array of shape (4, room), float64
-    dropped, taken : float [m]
-        Depths of drops that no longer wait, and of water taken, summed over the cells.
-    control_out, w_out, remainder_out, film_out, waiting_out : device arrays
-    """
-    n = cuda.grid(1)
-    if n == 0:
-        control_out[DROPPED] += dropped
-        control_out[DRAINED] += taken
-    if n < count:
-        at = cells[n]
-        w_out[3 * state[PARITY] * plane + at] = table[H, n]
-        remainder_out[at], film_out[at] = table[REMAINDER, n], table[FILM, n]
-        waiting_out[at] = 0
 
 
 @cuda_kernel
@@ -99,43 +44,22 @@ class Road:
     """
 
     def __init__(self, water):
-        self._water, self._area, self._plane = water, water.cells.area, len(water.waiting)
-        self._make_room(ROOM)
-        self._cells = np.zeros(0, np.int64)
-
-    def _make_room(self, room):
-        stream = self._water.stream
-        self._places = to_device(np.zeros(room, np.int64), stream)
-        self._units = to_device(np.zeros(room, np.int64), stream)
-        self._table = to_device(np.zeros((4, room)), stream)
-
-    def _room_for(self, count):
-        if count > len(self._places):
-            self._water.stream.synchronize()
-            self._make_room(2 * count)
-
-    def _launch(self, kernel, count):
-        return kernel[-(-count // THREADS), THREADS, self._water.stream]
+        self._water, self._area = water, water.cells.area
+        self._cells, self._table = Cells(water, ROOM), None  # no table: no cells are held
+        self._units = to_device(np.zeros(ROOM, np.int64), water.stream)
 
     def hold(self, ways):
         """Read the cells of some ways, pairs of rows and columns; waits for them."""
-        water, stream = self._water, self._water.stream
-        self._cells = np.unique(np.concatenate([water.places(*way) for way in ways]))
-        count = len(self._cells)
-        self._room_for(count)
-        send(self._places[:count], self._cells, stream)
-        self._launch(read_cells, count)(
-            self._places, count, water.account.state, self._plane, *water.arrays, water.waiting,
-            self._table,
-        )  # fmt: skip
-        h, remainder, film, waiting = fetch(self._table, stream)[:, :count]
-        self._held = [values.astype(np.float32) for values in (h, remainder, film)]
-        self._held[REMAINDER] += (waiting * UNIT).astype(np.float32)
-        self._dropped, self._taken = float(waiting.sum()) * UNIT, 0.0
+        self._cells.choose(np.unique(np.concatenate([self._water.places(*way) for way in ways])))
+        self._table = self._cells.read()
+        self._held = [self._table[k].astype(np.float32) for k in LIFTED]
+        waiting = self._table[WAITING] * UNIT
+        self._held[1] += waiting.astype(np.float32)
+        self._dropped, self._taken = float(waiting.sum()), 0.0
 
     def lift(self, rows, columns, left):
         """Take the water of cells that are held, see `WaterSolver.lift`."""
-        at = np.searchsorted(self._cells, self._water.places(rows, columns))
+        at = np.searchsorted(self._cells.places, self._water.places(rows, columns))
         *kept, taken = lift_cells(
             *(values[at] for values in self._held), left, self._area, DRY_DEPTH
         )
@@ -146,18 +70,11 @@ class Road:
 
     def let_go(self):
         """Write the cells that are held back to the device."""
-        water, stream, count = self._water, self._water.stream, len(self._cells)
-        if not count:
+        if self._table is None:
             return
-        table = np.zeros(self._table.shape)
-        table[:WAITING, :count] = self._held
-        send(self._table, table, stream)
-        account = water.account
-        self._launch(write_cells, count)(
-            self._places, count, self._table, self._dropped, self._taken, account.state,
-            self._plane, account.control, *water.arrays, water.waiting,
-        )  # fmt: skip
-        self._cells = self._cells[:0]
+        self._table[LIFTED], self._table[WAITING] = self._held, 0.0
+        self._cells.write(self._table, self._dropped, self._taken)
+        self._table = None
 
     def deposit(self, rows, columns, volumes):
         """Add drops: `volumes` [m3] into the cells (`rows`, `columns`)."""
@@ -167,11 +84,13 @@ class Road:
         stream = self._water.stream
         cells, which = np.unique(self._water.places(rows, columns), return_inverse=True)
         depth = np.bincount(which.ravel(), volumes) / (self._area * UNIT)
-        count = len(cells)
-        self._room_for(count)
-        send(self._places[:count], cells, stream)
+        self._cells.choose(cells)
+        room, count = len(self._cells.on_device), len(cells)
+        if len(self._units) < room:
+            stream.synchronize()
+            self._units = to_device(np.zeros(room, np.int64), stream)
         send(self._units[:count], np.rint(depth).astype(np.int64), stream)
-        self._launch(put_down, count)(self._places, self._units, count, self._water.waiting)
+        put_down[self._cells.grid()](self._cells.on_device, self._units, count, self._water.waiting)
 
 
 class DeviceTyres(Tyres):
