@@ -12,7 +12,8 @@ from rainsim.cli import cli
 from source import nodes, tree
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-SOURCES = sorted([*ROOT.glob("rainsim/**/*.py"), *ROOT.glob("examples/*.py")])
+EXAMPLES = sorted(ROOT.glob("examples/**/*.py"))
+SOURCES = sorted([*ROOT.glob("rainsim/**/*.py"), *EXAMPLES])
 TEXTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 LONGEST_FILE = 500
@@ -22,7 +23,7 @@ LONGEST_EXAMPLE = 60
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_files_are_short_and_lines_fit(path):
     lines = path.read_text(encoding="utf-8").splitlines()
-    assert len(lines) <= (LONGEST_EXAMPLE if path.parent.name == "examples" else LONGEST_FILE)
+    assert len(lines) <= (LONGEST_EXAMPLE if path in EXAMPLES else LONGEST_FILE)
     assert max(map(len, lines), default=0) <= 100
 
 

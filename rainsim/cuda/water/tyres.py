@@ -54,7 +54,7 @@ class Road:
         self._table = self._cells.read()
         self._held = [self._table[k].astype(np.float32) for k in LIFTED]
         waiting = self._table[WAITING] * UNIT
-        self._held[1] += waiting.astype(np.float32)
+        self._held[LIFTED.index(REMAINDER)] += waiting.astype(np.float32)
         self._dropped, self._taken = float(waiting.sum()), 0.0
 
     def lift(self, rows, columns, left):
