@@ -27,18 +27,22 @@ def interrupts_remembered():
     """Note that Ctrl-C was pressed, so that the next progress of the main thread raises it again.
 
     Python drops what a signal raises inside a finalizer or another callback, and the command would
-    go on. Outside the main thread, or where the signal is ignored or the caller's, nothing changes.
+    go on; the traceback that it prints of it is kept back. Outside the main thread, or where the
+    signal is ignored or the caller's, nothing changes.
     """
     _pressed.clear()
     own = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if not own or threading.current_thread() is not threading.main_thread():
         yield
         return
+    said = sys.unraisablehook
+    sys.unraisablehook = lambda lost: lost.exc_type is KeyboardInterrupt or said(lost)
     signal.signal(signal.SIGINT, _interrupt)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        sys.unraisablehook = said
 
 
 def _interrupt(number, frame):
