@@ -107,7 +107,7 @@ class Water:
         rows : sequence of slice
             That differ from the share before.
         """
-        self.account.let_through(exposure)
+        self.account.let_through(exposure, rows)
         west, wide = step_control.LEAD + PAD, self.cells.width
         for part in rows:
             framed = np.zeros((part.stop - part.start, wide), np.float32)

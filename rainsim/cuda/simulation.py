@@ -1,11 +1,11 @@
 """Twin of `rainsim.simulation`: rain on terrain over time, its water never leaving the device.
 
 A step is a recorded queue on a stream of its own: the water of drops that ended, their rings, and
-the flow. Beside it, on another, the drops are listed that end in the interval that follows: this
-frame's splashes show some of them already. What draws the frame waits for both on the device; the
-host is not asked. Steps of the water that were not reached, and drops that found no room, are
-counted; the former go on, the latter end the run with an error, for their list has room for far
-more than ever fall.
+the flow; where tyres roll, the flow alone. Beside it, on another, the drops are listed that end in
+the interval that follows: this frame's splashes show some of them already. What draws the frame
+waits for both on the device; the host is not asked. Steps of the water that were not reached, and
+drops that found no room, are counted; the former go on, the latter end the run with an error, for
+their list has room for far more than ever fall.
 
 `advance` only says what the next step is; it begins with `begin`, at the latest when its results
 are asked for. So the host can make ready one frame while the device works on the one before, and
@@ -179,7 +179,7 @@ class Simulation:
             self._traffic = Traffic(terrain, config, wind, exposure)
             self._traffic.tyres.start(solver, self.weather)
         self.water = Water(solver, exposure, stream=stream)
-        self.ripples = Ripples(tile, interval, cuda.stream(), self._ringing(tile.size, exposure))
+        self.ripples = Ripples(tile, interval, cuda.stream(), self._ringing(tile.size))
         send(self.ripples.moments, ripple_moments(tile.slopes()))
         self.impacts = self.drips = None
         if self.weather.rains:
@@ -199,9 +199,9 @@ class Simulation:
         self._fallen = 0.0  # m of rain since the start
         self.is_shown = False
 
-    def _ringing(self, size, exposure):
+    def _ringing(self, size):
         """Return the share of the drops on a map's ground that ring on a tile of a size [m]."""
-        area = float(exposure.sum()) * self.water.cells.area
+        area = self.water.account.exposed * self.water.cells.area
         return size**2 / area / LAYERS if area > 0 else 0.0
 
     def top_water(self):
@@ -238,9 +238,9 @@ class Simulation:
     def _begin(self, index):
         if index > 0 and self._traffic is not None:
             self.complete()
+            self._traffic.thin_rain()
             tile = self.ripples.tile
-            share = self._ringing(tile.size, self._traffic.thin_rain())
-            self.ripples.tile = tile._replace(share=share)
+            self.ripples.tile = tile._replace(share=self._ringing(tile.size))
         if index > 0:
             self._bring(*self._interval(index))
         if self.impacts is not None:
@@ -254,11 +254,16 @@ class Simulation:
             if self.impacts is not None:
                 self.impacts.listed.wait(stream)
             self._drawn[page].wait(stream)
-            if index == 1 or self._traffic is not None:
-                self.launch()  # compiles; that was the step itself
+            queue = self.launch
+            if self._traffic is not None:
+                self._land()  # how many drops ring, and what tyres do, differs from step to step
+                self._traffic.roll(*self._interval(index), self.weather)
+                queue = self._flow
+            if index == 1:
+                queue()  # compiles; that was the step itself
             else:
                 if self._steps[page] is None:
-                    self._steps[page] = Graph(stream, self.launch)
+                    self._steps[page] = Graph(stream, queue)
                 self._steps[page].launch()
         self._ready.record(stream)
         if self.impacts is None:
@@ -323,24 +328,26 @@ class Simulation:
             self.drips.update(before, time, wind, finer * (time - before))
 
     def launch(self):
-        """Queue a step, rings beside the flow.
+        """Queue a step without tyres. Nothing here waits, allocates or reads results."""
+        self._land()
+        self._flow()
 
-        Nothing here waits, allocates or reads results, unless tyres roll.
-        """
-        stream = self.water.stream
-        land = self.water, self.ripples, stream
+    def _land(self):
+        """Queue the water of the drops that ended, and their rings."""
+        land = self.water, self.ripples, self.water.stream
         if self.drips is not None:
             page = self.water.page
             self.impacts.settle(*land, (self.drips.point, self.drips.came[page]))
             self.drips.launch(page, *land)
         elif self.impacts is not None:
             self.impacts.settle(*land)
-        if self._traffic is not None:
-            self._traffic.roll(*self._interval(self._begun), self.weather)
-        self.ripples.fork(stream)
+
+    def _flow(self):
+        """Queue the flow and the account, rings beside them."""
+        self.ripples.fork(self.water.stream)
         self.water.launch()
         self.water.account.copy()
-        self.ripples.join(stream)
+        self.ripples.join(self.water.stream)
 
     def before(self, stream, falls=True):
         """Let another stream wait for the step that has begun and, if it `falls`, the impacts."""

@@ -86,7 +86,7 @@ def test_spray_is_that_of_the_cpu(monkeypatch, poisoned):
     assert (wanted > before + 0.01).mean() > 0.2
     twin = Streaks(none, roofed(), WIDTH, HEIGHT, depth)
     twin.spray = spray.Spray()
-    assert twin.spray.room == 2
+    assert twin.spray.room == (2, 2)
     twin.update(none, camera, time, exposure, NEAR)
     for _ in range(2):
         twin.spray.send(flocks, puffs, camera)

@@ -13,6 +13,7 @@ import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.cuda.drops import BLOCKS
+from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.splash_pass import draw_list
@@ -23,7 +24,6 @@ from rainsim.particles.spray import (
     FIRST_WORD,
     MOST_DRAWN,
     UNEVEN,
-    Flocks,
     cloud_of,
     cloud_table,
     cloud_thickness,
@@ -32,7 +32,7 @@ from rainsim.particles.spray import (
 
 BLOCK = (8, 4) if SIMULATED else (32, 8)  # threads, one a pixel
 THREADS = 8 if SIMULATED else 128
-ROOM = 1024  # clouds that there is room for at first
+ROOM = 1024  # clouds, and parcels, that there is room for at first
 SPREAD, DIAMETER, ROAD = 6, 7, 8  # columns of a table of flocks, after place and velocity
 
 
@@ -71,7 +71,7 @@ def scatter(ends, ids, table, count_out, drops_out):
     Parameters
     ----------
     ends : device array of shape (n,), int64
-        Drops of each parcel and those before it.
+        Drops of each parcel and those before it; behind the last parcel those of all.
     ids : device array of shape (n,), uint64
     table : device array of shape (n, 9), float64
         Place, velocity, and the columns from SPREAD on.
@@ -114,49 +114,63 @@ def scatter(ends, ids, table, count_out, drops_out):
 class Spray:
     """The spray of one frame after another.
 
+    Parameters
+    ----------
+    stream : numba.cuda.stream
+        That it is sent on.
+
     Attributes
     ----------
-    room : int
-        Clouds that there is room for.
+    room : tuple of int
+        Clouds and parcels that there is room for.
     version : int
-        Of the list of clouds, see `cuda.graph.new_version`.
+        Of the lists, see `cuda.graph.new_version`.
     """
 
-    def __init__(self):
-        self._count, self._many = (cuda.to_device(np.zeros(1, np.int32)) for _ in range(2))
+    def __init__(self, stream=0):
+        self._stream, self.room = stream, (0, 0)
         self._drops = cuda.device_array((MOST_DRAWN, 7), np.float64)
-        self._make_room(ROOM)
+        self._make_room(ROOM, ROOM)
 
-    def _make_room(self, room):
-        self.room, self._clouds = room, cuda.device_array((room, 5), np.float32)
+    def _make_room(self, clouds, parcels):
+        self.room = max(clouds, self.room[0]), max(parcels, self.room[1])
+        clouds, parcels = self.room
+        self._now = FrameUniforms(self._stream, {
+            "count": ((1,), np.int32), "many": ((1,), np.int32),
+            "clouds": ((clouds, 5), np.float32), "ends": ((parcels,), np.int64),
+            "id": ((parcels,), np.uint64), "table": ((parcels, 9), np.float64),
+        })  # fmt: skip
         self.version = new_version()
 
     def send(self, flocks, puffs, camera):
         """Send what `flocks_seen` returns; the device must draw nothing meanwhile."""
         clouds = cloud_table(puffs, camera)
-        if len(clouds) > self.room:
-            self._make_room(2 * len(clouds))
-        self._many.copy_to_device(np.array([len(clouds)], np.int32))
-        if len(clouds):
-            self._clouds[: len(clouds)].copy_to_device(clouds)
-        self._count.copy_to_device(np.zeros(1, np.int32))
-        total = 0 if flocks is None else int(flocks.count.sum())
+        there = [] if flocks is None else np.flatnonzero(flocks.count)
+        if len(clouds) > self.room[0] or len(there) > self.room[1]:
+            self._make_room(2 * len(clouds), 2 * len(there))
+        host, total = self._now.host, 0
+        host["many"][0], host["clouds"][: len(clouds)] = len(clouds), clouds
+        if len(there):
+            *parts, ids, count = (part[there] for part in flocks)
+            ends = np.cumsum(count)
+            total = int(ends[-1])
+            host["ends"][:] = total  # of those behind the last parcel, which have no drops
+            host["ends"][: len(there)], host["id"][: len(there)] = ends, ids
+            host["table"][: len(there)] = np.column_stack(parts)
+        self._now.send()
         if total:
-            there = flocks.count > 0
-            flocks = Flocks(*(part[there] for part in flocks))
-            ends = cuda.to_device(np.cumsum(flocks.count))
-            table = cuda.to_device(np.column_stack(flocks[:5]))
-            scatter[-(-total // THREADS), THREADS](
-                ends, cuda.to_device(flocks.id), table, self._count, self._drops
+            now = self._now
+            scatter[-(-total // THREADS), THREADS, self._stream](
+                now["ends"], now["id"], now["table"], now["count"], self._drops
             )
-            cuda.synchronize()
 
     def draw(self, view, scene, picture, stream):
         """Queue the drawing of drops into the streaks' picture."""
-        draw_list[BLOCKS, GROUPS, stream](self._count, self._drops, view, scene, picture)
+        draw_list[BLOCKS, GROUPS, stream](self._now["count"], self._drops, view, scene, picture)
 
     def lay(self, lens, depth, alpha_out, stream):
         """Queue the clouds before the streaks' picture."""
         height, width = alpha_out.shape
         blocks = -(-width // BLOCK[0]), -(-height // BLOCK[1])
-        lay_clouds[blocks, BLOCK, stream](self._many, self._clouds, lens, depth, alpha_out)
+        now = self._now
+        lay_clouds[blocks, BLOCK, stream](now["many"], now["clouds"], lens, depth, alpha_out)

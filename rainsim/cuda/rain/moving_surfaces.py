@@ -44,10 +44,12 @@ class MovingHeights:
         found, rows = surfaces.height_fields(), [part[0] for part, _ in shelters]
         for part in joined_rows([*self._rows, *rows]):
             for name in FIELDS:
-                getattr(self.fields, name)[part].copy_to_device(getattr(found, name)[part])
+                there, values = getattr(self.fields, name)[part], getattr(found, name)[part]
+                there.copy_to_device(values, stream=self._stream)
         if self._rows or rows:
             for name in BLOCKS:
-                getattr(self.fields, name).copy_to_device(getattr(found, name))
+                values = getattr(found, name)
+                getattr(self.fields, name).copy_to_device(values, stream=self._stream)
         if not SIMULATED:
             self._stream.synchronize()  # before the map of the host goes on
         self._rows = rows

@@ -36,7 +36,7 @@ class MovingActors:
         self.heights = self.spray = None
         if footprints:
             self.heights = MovingHeights(conductor.ground.moving.still, footprints, frame.stream)
-            self.spray = None if conductor.config.render.spray == "off" else Spray()
+            self.spray = None if conductor.config.render.spray == "off" else Spray(frame.stream)
 
     def update(self, state):
         """List the copies to the device for the next frame."""

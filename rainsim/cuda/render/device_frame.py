@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from rainsim.cuda.driver import copy_to_host
+from rainsim.cuda.driver import copy_to_host, send
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda
@@ -164,11 +164,11 @@ class DeviceFrame:
         self._sent[name] = value
 
     def _copy(self, name, array):
-        self._buffers[name].copy_to_device(np.ascontiguousarray(array, np.float32))
+        send(self._buffers[name], np.ascontiguousarray(array, np.float32), self.stream)
 
     def _copy_bodies(self, bodies):
         there = self._buffers["bodies"]
-        there.copy_to_device(bodies if bodies.size else np.zeros(there.shape, np.uint8))
+        send(there, bodies if bodies.size else np.zeros(there.shape, np.uint8), self.stream)
 
     def _send_colors(self, drawn):
         self.rasterizer.splats.send_colors(drawn)
@@ -191,12 +191,12 @@ class DeviceFrame:
         if self._buffers["moments"] is None:
             self._buffers["moments"] = cuda.to_device(moments)
 
-        def send():
+        def send_water():
             self._copy("water", state.depth)
-            self._buffers["moments"].copy_to_device(moments)
+            send(self._buffers["moments"], moments, self.stream)
             self.passes.rain.send_drips(state)
 
-        self.pending.append(send)
+        self.pending.append(send_water)
 
     def leave_water(self):
         """Let go of the water of the frames so far; the next shows that of another simulation."""
@@ -240,9 +240,12 @@ class DeviceFrame:
         self.passes.room_for(height, width)
         self._version = new_version()
 
-    def dependencies(self):
-        """Return the values a recorded queue depends on: when they change, it is recorded again."""
-        return self._version, *self.passes.dependencies()
+    def dependencies(self, part):
+        """Return the values that the recorded queues of a part depend on, see `Passes`, a tuple.
+
+        When they change these are recorded again.
+        """
+        return self._version, *self.passes.dependencies(part)
 
     # ---- as kernels take it
 

@@ -66,38 +66,47 @@ class Recordings:
 
     def __init__(self, frame, shore):
         self._frame, self._shore = frame, shore
-        self._recorded_for = None  # what the queues depended on
+        self._recorded_for = {}  # by part, DRY and WET: what its queues depended on
         self.splats = self.dry = self.still = None
         self._wet, self._surfaces = {}, {}  # by the page of the simulation they show
 
+    def _fits(self, part):
+        return self._recorded_for.get(part) == self._frame.dependencies(part)
+
     @property
     def is_stale(self):
-        """Whether the queues no longer fit."""
-        return self._recorded_for != self._frame.dependencies()
+        """Whether the queues that need no water no longer fit."""
+        return not self._fits(DRY)
 
     def leave_water(self):
         """Drop the queues that show the water of a simulation."""
-        self._recorded_for, self._surfaces = None, {}
+        self._recorded_for.pop(WET, None)
+        self._surfaces = {}
 
     def renew(self):
-        """Drop what no longer fits; record what needs no water."""
-        if self.is_stale:
-            self._recorded_for, self.dry, self._wet = self._frame.dependencies(), None, {}
-        if self.dry is None:
-            self._record_dry()
-
-    def _record_dry(self):
+        """Record again what needs no water and no longer fits."""
+        if not self.is_stale:
+            return
         frame, queue = self._frame, self._frame.passes.lanes.queue
         splat = partial(queue, SPLAT, frame.ahead)
         graded = chain([frame.uniforms.send, partial(queue, DRY, frame.stream)])
-        frame.stream.synchronize()
-        splat()  # compiles, and allocates what only then is known
-        frame.ahead.synchronize()
-        graded()
-        frame.stream.synchronize()
+        self._prepare(DRY, (splat, frame.ahead), (graded, frame.stream))
         self.splats = Graph(frame.ahead, splat)
         self.dry = Graph(frame.stream, graded)
         self.still = Graph(frame.stream, frame.uniforms.send)
+
+    def _prepare(self, part, *queues):
+        """Say what a part's queues depend on; run them if they have kernels that may be new.
+
+        Those are compiled then, and what only they know of is allocated.
+        """
+        before, now = self._recorded_for.get(part, ()), self._frame.dependencies(part)
+        if len(before) != len(now):  # more than before: another mirror, the first splashes
+            self._frame.stream.synchronize()
+            for queue, stream in queues:
+                queue()
+                stream.synchronize()
+        self._recorded_for[part] = now
 
     def surface(self, page):
         """Return the queue of the water's surface, of a page of the simulation."""
@@ -110,12 +119,12 @@ class Recordings:
 
     def wet(self, page):
         """Return the queue of all else, of a page of the simulation."""
+        passes, stream = self._frame.passes, self._frame.stream
+        queue = chain([partial(passes.lanes.queue, WET, stream), passes.rain.count_lines])
+        if not self._fits(WET):
+            self._wet = {}
+            self._prepare(WET, (queue, stream))
         if page not in self._wet:
-            passes, stream = self._frame.passes, self._frame.stream
-            queue = chain([partial(passes.lanes.queue, WET, stream), passes.rain.count_lines])
-            if not self._wet:
-                queue()  # compiles
-                stream.synchronize()
             self._wet[page] = Graph(stream, queue)
         return self._wet[page]
 

@@ -19,7 +19,7 @@ from rainsim.cuda.shading.wet_pass import grade_layers, pixel_grid
 from rainsim.reflection.water_pass import optics_of
 from rainsim.reflection.water_shading import Background, Ripples
 from rainsim.reflection.water_surface import WaterMap
-from rainsim.render.frame import PASSES
+from rainsim.render.frame import PASSES, WET
 from rainsim.shading.composite import RainCover, RainLight
 
 
@@ -109,12 +109,11 @@ class Passes:
         """Make room where the finished frame's water and rain lacked it; return whether any did."""
         return any([self.mirrors.grow(), self.rain.grow()])  # both
 
-    def dependencies(self):
-        """Return the values a recorded queue depends on: when they change, it is recorded again."""
-        return (
-            self._frame.rasterizer.queue, self.ground_light.queue, self.mirrors.queue,
-            *self.rain.dependencies(),
-        )  # fmt: skip
+    def dependencies(self, part):
+        """Return the values that the recorded queues of a part, WET or not, depend on, a tuple."""
+        if part == WET:
+            return *self.mirrors.queue, *self.rain.dependencies()
+        return *self._frame.rasterizer.queue, *self.ground_light.queue
 
     # ---- what is queued
 

@@ -185,10 +185,10 @@ class RainPass:
         return full
 
     def dependencies(self):
-        """Return the values that a recorded queue depends on."""
+        """Return the values that a recorded queue depends on, one for each list that it draws."""
         spray = None if self.streaks is None else self.streaks.spray
         parts = self.splashes, self.streaks, spray, self.drips
-        return tuple(0 if part is None else part.version for part in parts)
+        return tuple(part.version for part in parts if part is not None)
 
     def cover(self):
         """Return the `RainCover` of the finished frame, on the host."""

@@ -59,6 +59,8 @@ class Account:
     control, state, now, numbers, partial : device arrays
         See the constants of `step_control`.
     courant : float
+    exposed : float
+        Sum over the cells of the share of the rain that falls on each.
     seen : ndarray of shape (CONTROL,), float64
         `control` as the host has it since the last `copy` was done.
     """
@@ -66,7 +68,9 @@ class Account:
     def __init__(self, solver, exposure, blocks, stream):
         flow, sources, ledger = solver.flow, solver.sources, solver.ledger
         self._before, self._area, self._stream = ledger, solver.spacing**2, stream
-        self._exposure, self._rate, self.courant = exposure, None, solver.courant
+        self._rate, self.courant = None, solver.courant
+        self._sums, self._most = np.zeros(len(exposure)), np.zeros(len(exposure), np.float32)
+        self.let_through(exposure, [slice(0, len(exposure))])
         self._spacing, self._gravity = solver.spacing, float(np.float32(solver.gravity))
         numbers, state = np.zeros(7), np.zeros(step_control.STATE, np.int32)
         control = np.zeros(step_control.CONTROL)
@@ -96,16 +100,19 @@ class Account:
         now = self._uniforms.host["now"]
         now[DURATION], now[ADDED] = duration, float(added)
         if rate != self._rate:
-            rain = np.float32(rate) * self._exposure
-            now[RATE], now[RAIN_SUM], now[RAIN_STEP] = rate, rain.sum(dtype=np.float64), np.inf
+            rain = np.float32(rate)
+            now[RATE], now[RAIN_SUM], now[RAIN_STEP] = rate, float(rain) * self.exposed, np.inf
             if rate > 0.0:
-                most = self._gravity * float(rain.max())
+                most = self._gravity * float(rain * self._most.max())
                 now[RAIN_STEP] = (self.courant * self._spacing) ** (2 / 3) / most ** (1 / 3)
             self._rate = rate
 
-    def let_through(self, exposure):
-        """Let another share of the rain fall on each cell from the next `update` on."""
-        self._exposure, self._rate = exposure, None
+    def let_through(self, exposure, rows):
+        """Let another share of the rain fall on the cells of some rows, from `update` on."""
+        for part in rows:
+            self._sums[part] = exposure[part].sum(axis=1, dtype=np.float64)
+            self._most[part] = exposure[part].max(axis=1)
+        self.exposed, self._rate = float(self._sums.sum()), None
 
     def send(self):
         """Queue the sending of what `update` has set."""

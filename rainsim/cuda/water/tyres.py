@@ -137,7 +137,7 @@ class Traffic:
         self.tyres = tyres_of(terrain, config, kind=DeviceTyres)
         self._footprints, self._exposure = terrain.footprints, exposure
         self._depth = np.zeros(terrain.grid.shape, np.float32)
-        self._rows, self._opened = [], exposure
+        self._rows, self._opened = [], exposure.copy()
         self._road = self._heights = self._water = None
         self.thrown = [NOTHING_THROWN, NOTHING_THROWN]
 
@@ -159,14 +159,19 @@ class Traffic:
             self._moving.look_ahead(*following)
 
     def thin_rain(self):
-        """Let less rain reach the ground in the listed interval; return the share that does."""
-        if self._heights is not None:
-            self._opened = self._moving.thinned(self._exposure, self._middle)
-            rows = [part[0] for part, _ in self._moving.moment(self._middle)[1]]
-            if rows or self._rows:
-                self._water.let_through(self._opened, joined_rows([*self._rows, *rows]))
-            self._rows = rows
-        return self._opened
+        """Let less rain reach the ground in the listed interval."""
+        if self._heights is None:
+            return
+        shelters = self._moving.moment(self._middle)[1]
+        rows = [part[0] for part, _ in shelters]
+        changed = joined_rows([*self._rows, *rows])
+        for part in changed:
+            self._opened[part] = self._exposure[part]
+        for part, let_through in shelters:
+            self._opened[part] *= let_through
+        if changed:
+            self._water.let_through(self._opened, changed)
+        self._rows = rows
 
     def roll(self, start, stop, weather):
         """Let tyres roll from `start` to `stop` [s], see `Tyres.roll`; waits for the device."""
