@@ -318,17 +318,26 @@ class LeanFlow(ConservingFlow):
         )  # fmt: skip
 
     def speeds_of(self, dt, pressure_time, runs, tiles):
-        """Return the fastest wave and face [m/s] that a step would make in some tiles."""
+        """Return the fastest wave and face [m/s] that a step would make in some tiles.
+
+        Of fewer columns than `rows.RUN`: friction reads the new depths west and south of them, too.
+        """
         speeds = np.zeros((2, len(tiles)), self.bed.dtype)
-        self._write(dt, pressure_time, runs, tiles, speeds)
-        self._slow(pressure_time, runs, tiles, self.water, self._spare, speeds)
+        if self.roughness is None:
+            self._write(dt, pressure_time, runs, tiles, speeds)
+        else:
+            wider = [np.hstack([np.maximum(a[:, :4] - [1, 0, 1, 0], PAD), a[:, 4:]])
+                     for a in (runs, tiles)]  # fmt: skip
+            self._write(dt, pressure_time, *wider, speeds)
+            fill_depth(self.edge_is_open, self._spare.h)
+            self._slow(pressure_time, runs, tiles, self.water, self._spare, speeds)
         return speeds.max(axis=1, initial=0).tolist()
 
     def note_cells(self, edge, rows, columns, rise, dt):
         """Take note that last cells of an edge rose, see `ConservingFlow.note_cells`.
 
         The step took the velocity to n+3/2 together with the depth, before the cells rose: the
-        faces inside the edge get the pressure of the rise here.
+        faces inside the edge get the pressure of the rise here, and the ghosts follow.
         """
         dtype, water = self.bed.dtype.type, self.water
         sign = dtype(1 if edge in ("west", "south") else -1)
@@ -338,3 +347,4 @@ class LeanFlow(ConservingFlow):
         cap = dtype(self.cap)
         w[at] = np.where(w[at] != 0, np.clip(pushed, -cap, cap), 0)  # closed faces stay closed
         super().note_cells(edge, rows, columns, rise, dt)
+        self._fill_ghosts()

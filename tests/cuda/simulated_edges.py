@@ -20,7 +20,7 @@ GIVEN = {
     "discharge": lambda: [Discharge("west", Series([0, 1], [2e-3, 4e-3]), span=(2, 6))],
     "pump": lambda: [Discharge("north", -3e-3, span=(0, 5))],
     "rating": lambda: [Rating("east", [0.0, 0.1], [0.0, 0.01])],
-    "all": lambda: [condition for name in ("stage", "discharge", "rating")
+    "all": lambda: [condition for name in ("stage", "discharge", "pump", "rating")
                     for condition in GIVEN[name]()],
 }  # fmt: skip
 
@@ -44,6 +44,9 @@ def test_each_condition_acts_as_on_the_cpu(name):
     for _ in range(2):
         steps = solver.advance(0.15, RAIN).substeps
         assert gpu.advance(0.15, RAIN) == steps
+        mine, theirs = gpu.on_host().flow, solver.flow  # which limit the steps, at corners too
+        assert mine.water_speed == pytest.approx(theirs.water_speed, rel=1e-3)
+        assert mine.wave_speed == pytest.approx(theirs.wave_speed, rel=1e-3)
     assert gpu.time == 0.3 and gpu.steps > 2
     np.testing.assert_allclose(gpu.depth, solver.depth, atol=1e-6)
     for found, wanted in zip(gpu.velocity, solver.velocity, strict=True):

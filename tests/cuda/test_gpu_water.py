@@ -107,7 +107,7 @@ def test_conditions_act_as_on_the_cpu_and_a_saved_state_goes_on_to_the_same_byte
     gpu, before = GpuWaterSolver(solver), solver.depth
     for _ in range(5):
         assert gpu.advance(1.0, rain) == solver.advance(1.0, rain).substeps
-    assert np.abs(gpu.depth - solver.depth).max() < 1e-5
+    assert np.abs(gpu.depth - solver.depth).max() < 1e-5  # a stage takes the rain of its step
     assert np.abs(gpu.depth - before).max() > 0.03
     found, wanted = gpu.ledger, solver.ledger
     assert found.inflow == pytest.approx(wanted.inflow, rel=1e-4) and found.inflow > 1

@@ -18,11 +18,30 @@ from rainsim.cuda.water.cells import DEPTH, FILM, REMAINDER, Cells, U, V
 from rainsim.grid import SOURCE_PERIOD
 from rainsim.water.conditions import apply_conditions, let_in
 from rainsim.water.conserving import PAD
+from rainsim.water.inputs import EDGES
 from rainsim.water.rows import RUN
 from rainsim.water.sources import DRY_DEPTH
 
 SPEEDS = [at.REACH_NOW, at.SWIFT_NOW]
 FIRST = "west", "south"  # the edges at which rows and columns begin
+
+
+def walls_at(condition, shape, is_open):
+    """Return the walls that a condition's cells touch, its own edge last.
+
+    Returns
+    -------
+    list of (edge, last, near)
+        The row or column [cells] of the last cells before the wall, and the slice of the rows or
+        columns near the condition.
+    """
+    (rows, columns), found = condition.at, []
+    for edge in sorted(EDGES, key=lambda edge: edge == condition.edge):
+        across, along = (columns, rows) if edge in ("west", "east") else (rows, columns)
+        last = PAD if edge in FIRST else shape[edge in ("west", "east")] - PAD - 1
+        if last in (across[0], across[-1]) and not is_open[edge]:
+            found.append((edge, last, slice(along[0] - PAD, along[-1] + 4)))
+    return found
 
 
 class Edges:
@@ -50,12 +69,18 @@ class Edges:
         rows, columns = self._at
         self._cells = Cells(water, len(rows))
         self._cells.choose(rows * water.cells.width + columns + at.LEAD)
+        wide = RUN - 1
         runs = [
-            (c.at[0][0], c.at[0][-1] + 1, west, min(west + RUN, c.at[1][-1] + 1))
-            for c in solver.conditions for west in range(c.at[1][0], c.at[1][-1] + 1, RUN)
+            (c.at[0][0], c.at[0][-1] + 1, west, min(west + wide, c.at[1][-1] + 1))
+            for c in solver.conditions for west in range(c.at[1][0], c.at[1][-1] + 1, wide)
         ]  # fmt: skip
         self._tiles, count = np.array(runs, np.int64), np.arange(len(runs))[:, None]
         self._runs = np.hstack([self._tiles, count, count + 1])
+        self._walls = [
+            wall
+            for c in solver.conditions
+            for wall in walls_at(c, marked.shape, solver.flow.is_open)
+        ]
         self.came = self.left = 0.0
         self._passed = self._late = 0.0  # m, see `book`
 
@@ -143,19 +168,18 @@ class Edges:
 
     def _mirror(self):
         """Mirror the water in the ghosts beyond the conditions, as at all walls of the CPU."""
-        water = self._solver.flow.water
-        for condition in self._solver.conditions:
-            is_across, is_first = condition.edge in ("west", "east"), condition.edge in FIRST
-            along, across = condition.at if is_across else condition.at[::-1]
-            h, w, v = (
-                (water.h, water.u, water.v) if is_across else (water.h.T, water.v.T, water.u.T)
-            )
-            last, out, near = across[0], -1 if is_first else 1, slice(along[0] - PAD, along[-1] + 4)
+        h, _, u, v = self._solver.flow.water
+        fields = [
+            (u, v, h) if edge in ("west", "east") else (v.T, u.T, h.T) for edge, *_ in self._walls
+        ]
+        for (edge, last, near), (across, *_) in zip(self._walls, fields, strict=True):
+            face, out = (last, -1) if edge in FIRST else (last + 1, 1)
+            across[near, face], across[near, face + out] = 0, -across[near, face - out]
+        for (edge, last, near), (_, *along) in zip(self._walls, fields, strict=True):
+            out = -1 if edge in FIRST else 1
             for k in range(1, PAD + 1):
-                for field in (h, v):
+                for field in along:
                     field[near, last + k * out] = field[near, last + (1 - k) * out]
-            edge = last if is_first else last + 1
-            w[near, edge + out] = -w[near, edge - out]
 
     def _send(self):
         """Write the strip to the device, with what comes in through its faces."""
