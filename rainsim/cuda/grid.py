@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.cuda.driver import fetch, send, to_device
+from rainsim.cuda.driver import Staging, fetch, send, to_device
 from rainsim.cuda.graph import Graph
 from rainsim.cuda.rain.settling import CellLayout
 from rainsim.cuda.water import flow as lean
@@ -90,6 +90,7 @@ class Water:
         self._stripes = side, -(-height // step_control.STRIPE)
         most = max(self._blocks[0] * self._blocks[1], side * height)
         self.account = Account(solver, exposure, most, stream)
+        self._staging = Staging(stream)
         self._recorded = {}  # launches of `advance` by name and page
 
     def _framed(self, field):
@@ -99,7 +100,7 @@ class Water:
         return framed
 
     def let_through(self, exposure, rows):
-        """Let another share of the rain fall from now on; waits.
+        """Let another share of the rain fall from what is queued next on.
 
         Parameters
         ----------
@@ -113,7 +114,7 @@ class Water:
             framed = np.zeros((part.stop - part.start, wide), np.float32)
             framed[:, west : west + self.shape[1]] = exposure[part]
             begin, end = ((n + PAD) * wide for n in (part.start, part.stop))
-            send(self._maps.exposure[begin:end], framed.reshape(-1), self.stream)
+            self._staging.send(self._maps.exposure[begin:end], framed.reshape(-1))
 
     @property
     def arrays(self):

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.cuda.driver import Staging
 from rainsim.cuda.drops import sent_surfaces
-from rainsim.cuda.jit import SIMULATED
 
 ABOVE = 0.01  # m; lines are followed from this far above all that moves
 FIELDS = ("top", "underside")
@@ -36,7 +36,7 @@ class MovingHeights:
         fields = sent_surfaces(still, stream)
         highest = max((footprint.highest for footprint in footprints), default=-np.inf)
         self.fields = fields._replace(sky=max(fields.sky, highest + ABOVE))
-        self._stream = stream
+        self._staging = Staging(stream)
         self._rows = []  # that actors cover on the device
 
     def send(self, surfaces, shelters):
@@ -44,14 +44,10 @@ class MovingHeights:
         found, rows = surfaces.height_fields(), [part[0] for part, _ in shelters]
         for part in joined_rows([*self._rows, *rows]):
             for name in FIELDS:
-                there, values = getattr(self.fields, name)[part], getattr(found, name)[part]
-                there.copy_to_device(values, stream=self._stream)
+                self._staging.send(getattr(self.fields, name)[part], getattr(found, name)[part])
         if self._rows or rows:
             for name in BLOCKS:
-                values = getattr(found, name)
-                getattr(self.fields, name).copy_to_device(values, stream=self._stream)
-        if not SIMULATED:
-            self._stream.synchronize()  # before the map of the host goes on
+                self._staging.send(getattr(self.fields, name), getattr(found, name))
         self._rows = rows
 
 

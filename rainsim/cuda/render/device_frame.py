@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from rainsim.cuda.driver import copy_to_host, send
+from rainsim.cuda.driver import Staging, copy_to_host, send
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda
@@ -85,7 +85,7 @@ class DeviceFrame:
         )  # fmt: skip
         self.size = self.uniforms = self.tile = self._version = None
         self.passes = Passes(self)
-        self.pending = []
+        self.pending, self._staging = [], Staging(stream)
         self._sent = {name: value for name, value, _ in self._kept() if name != "actors"}
         self._send("bodies", scene.ground.bodies.now, self._copy_bodies)
         self.rasterizer.recolors = False
@@ -164,7 +164,7 @@ class DeviceFrame:
         self._sent[name] = value
 
     def _copy(self, name, array):
-        send(self._buffers[name], np.ascontiguousarray(array, np.float32), self.stream)
+        self._staging.send(self._buffers[name], np.asarray(array, np.float32))
 
     def _copy_bodies(self, bodies):
         there = self._buffers["bodies"]

@@ -267,6 +267,8 @@ class FrameQueue:
         state = self._flight.state
         for send in self.frame.pending:
             send()
+        if self.frame.pending:
+            self.stream.synchronize()  # other streams read what was sent, too
         self.frame.pending = []
         self._launch_dry(self._is_still())
         if (simulation := simulation_of(state)) is not None:
