@@ -131,14 +131,18 @@ def _view_boxes(camera, camera_end, far, aperture, focus):
     And `SeenAir.slack`.
     """
     rays = np.concatenate([np.zeros((1, 3)), corner_rays(camera)])
-    worlds = np.empty((len(far), 10, 3))
-    for c, world in ((camera, worlds[:, :5]), (camera_end, worlds[:, 5:])):
+    cameras = (camera,) if camera_end is camera else (camera, camera_end)
+    worlds = np.empty((len(far), 5 * len(cameras), 3))
+    for n, c in enumerate(cameras):
         # Rows times R is R transposed times columns: world_from_camera.
+        world = worlds[:, 5 * n : 5 * n + 5]
         np.multiply(far[:, None, None], rays @ c.camera_from_world[:3, :3], out=world)
         world += c.position
     around = LARGEST + aperture * np.maximum(far / focus, 1.0)  # how far a drop's image reaches
-    apart = worlds[:, :5] - worlds[:, 5:]
-    slack = np.sqrt((apart * apart).sum(axis=2).max(axis=1)) + around
+    slack = around
+    if camera_end is not camera:
+        apart = worlds[:, :5] - worlds[:, 5:]
+        slack = np.sqrt((apart * apart).sum(axis=2).max(axis=1)) + around
     around = around[:, None]
     return worlds.min(axis=1) - around, worlds.max(axis=1) + around, slack
 
