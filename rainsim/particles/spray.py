@@ -26,15 +26,7 @@ from rainsim.jit import (
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.random import subkey, uniform_triple
 from rainsim.particles.line_raster import FAINTEST, NEAR
-from rainsim.rain.throws import (
-    FLIGHT,
-    Puffs,
-    column,
-    cross_section,
-    flown,
-    mist_puffs,
-    parcels_of,
-)
+from rainsim.rain.throws import FLIGHT, Puffs, column, cross_section, flown, flying, mist_puffs
 from rainsim.scene.view import camera_points, edge_planes, finest, lens_array
 
 MOST_DRAWN = 120_000  # drops of a picture that are drawn one by one
@@ -96,13 +88,12 @@ def spray_seen(throws, ids, camera, time, exposure):
     return NO_LINES if flocks is None else scattered(flocks), puffs
 
 
-def flocks_seen(throws, ids, camera, time, exposure, parcels_of=parcels_of):
+def flocks_seen(throws, ids, camera, time, exposure, flying=flying):
     """Return what `spray_seen` does, but the `Flocks` of the drops; None without throws."""
     if not len(throws):
         return None, NO_PUFFS
     recent = (column(throws, "end") > time - FLIGHT) & (column(throws, "begin") <= time)
-    parcels = parcels_of(throws[recent], ids[recent])
-    parcels = parcels.take((parcels.begin <= time) & (parcels.begin > time - FLIGHT))
+    parcels = flying(throws[recent], ids[recent], time)
     place, velocity = flown(parcels, time - parcels.begin)
     flies = place[:, 2] > parcels.road
     parcels, place, velocity = parcels.take(flies), place[flies], velocity[flies]

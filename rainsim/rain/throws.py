@@ -214,27 +214,44 @@ def parcels_of(table, ids):
     )
 
 
+def on_their_way(parcels, time):
+    """Return the parcels that were thrown up to `FLIGHT` before a time [s]."""
+    return parcels.take((parcels.begin <= time) & (parcels.begin > time - FLIGHT))
+
+
+def flying(table, ids, time):
+    """Return the parcels of a table of throws and its ids that may fly at a time [s]."""
+    return on_their_way(parcels_of(table, ids), time)
+
+
 class KnownParcels:
     """The parcels of a table of throws that grows at its end and shrinks at its begin."""
 
     def __init__(self):
-        self._ids, self._parcels = np.zeros(0, np.uint64), None
+        self._ids, self._parcels, self._lands = np.zeros(0, np.uint64), None, np.zeros(0)
+        self._time = math.inf
 
-    def of(self, table, ids):
-        """Return `parcels_of(table, ids)`; only those of new rows are computed."""
-        known = self._parcels
+    def flying(self, table, ids, time):
+        """Return those of `flying` that are over the road, and some that have just come down.
+
+        Only parcels of new rows are computed as long as time goes on.
+        """
         first = int(np.argmax(self._ids == ids[0])) if len(ids) and len(self._ids) else 0
         old = self._ids[first:]
         count = len(old)
-        if not count or not np.array_equal(old, ids[:count]):
-            known = parcels_of(table, ids)
-        else:
-            kept = known.take(known.row >= first)
-            new = parcels_of(table[count:], ids[count:])
-            kept, new = kept._replace(row=kept.row - first), new._replace(row=new.row + count)
-            known = Parcels(*(np.concatenate(both) for both in zip(kept, new, strict=True)))
-        self._ids, self._parcels = ids, known
-        return known
+        goes_on = count > 0 and time >= self._time and np.array_equal(old, ids[:count])
+        count = count if goes_on else 0
+        parcels = parcels_of(table[count:], ids[count:])
+        lands = parcels.begin + _longest_flight(parcels)
+        if goes_on:
+            kept, new = self._parcels, parcels._replace(row=parcels.row + count)
+            kept = kept._replace(row=kept.row - first)
+            parcels = Parcels(*(np.concatenate(both) for both in zip(kept, new, strict=True)))
+            lands = np.concatenate([self._lands, lands])
+        above = np.flatnonzero((lands > time) & (parcels.row >= 0))
+        self._ids, self._time = ids, time
+        self._parcels, self._lands = parcels.take(above), lands[above]
+        return on_their_way(self._parcels, time)
 
 
 def _leaving(table, way, speed, sense, angle, aside, quick, across):
@@ -288,6 +305,13 @@ def _flight(parcels):
     through = np.linalg.norm(parcels.velocity - falling * [1, 1, 0], axis=1)
     ease = fall**2 / (GRAVITY * (fall + AIR_DRAG * through))
     return falling, parcels.velocity - falling, ease
+
+
+def _longest_flight(parcels):
+    """Return how long [s] parcels fly at most: as if all drag had come before the fall."""
+    falling, own, ease = _flight(parcels)
+    high = parcels.start[:, 2] + np.maximum(own[:, 2], 0.0) * ease - parcels.road
+    return high / -falling[:, 2] + 1e-6  # of rounding
 
 
 def landing_age(parcels):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy import ndimage
 
@@ -9,6 +11,27 @@ from rainsim.io.states import NO_TRACKS
 from rainsim.shading import wetness
 from rainsim.shading.bodies import BodyMap
 from rainsim.shading.wetting import GroundMaps
+
+
+class TrackedMap(NamedTuple):
+    """How wet each cell of the ground is, before and after tyres have thinned its film.
+
+    Attributes
+    ----------
+    untouched, map : ndarray of shape (ny, nx, 4), float32
+        See `wetness.ground_wetness`.
+    rows : slice
+        In which the two differ.
+    """
+
+    untouched: np.ndarray
+    map: np.ndarray
+    rows: slice
+
+    def restored(self):
+        """Return the array `map` with the numbers of `untouched`."""
+        self.map[self.rows] = self.untouched[self.rows]
+        return self.map
 
 
 class WetGround:
@@ -24,16 +47,16 @@ class WetGround:
     ----------
     grass : ndarray of shape (ny, nx), float32
         See `blurred_grass`.
-    map : ndarray of shape (ny, nx, 4), float32, or None
-        See `wetness.ground_wetness`; None until `wet` is called.
+    tracked : TrackedMap or None
+        None until `wet` is called; another one whenever the map changes.
     bodies : BodyMap or None
         None until `stand` is called.
     """
 
     def __init__(self, terrain, reach):
         self.terrain, self.reach, self.grass = terrain, reach, blurred_grass(terrain)
-        self.map = self._untouched = self.bodies = None
-        self._tracks = NO_TRACKS
+        self.tracked = self._untouched = self.bodies = None
+        self._tracks, self._copies = NO_TRACKS, []
 
     def stand(self, actors):
         """Find the smooth bodies that stand on the ground, and where `actors` (or None) are."""
@@ -42,7 +65,8 @@ class WetGround:
     def wet(self, now):
         """Find how wet the ground is at the settings of one time."""
         self._untouched = wetness.ground_wetness(self.terrain, self.grass, self.reach, now)
-        self.map = wetness.with_tracks(self._untouched, self._tracks)
+        self._copies = []
+        self._lay_tracks()
 
     def take_tracks(self, tracks):
         """Take over where tyres have thinned the film, see `Tyres.tracks`; return if that is new.
@@ -54,8 +78,23 @@ class WetGround:
         if np.array_equal(tracks, self._tracks):
             return False
         self._tracks = tracks
-        self.map = wetness.with_tracks(self._untouched, tracks)
+        self._lay_tracks()
         return True
+
+    def _lay_tracks(self):
+        """Lay the tracks on a copy of the map; there are two, so that the last one stays."""
+        untouched, rows = self._untouched, slice(0, 0)
+        if not self._tracks.size:
+            self.tracked = TrackedMap(untouched, untouched, rows)
+            return
+        ground = untouched.copy() if len(self._copies) < 2 else self._copies.pop(0).restored()
+        self.tracked = TrackedMap(untouched, ground, wetness.thin_film(ground, self._tracks))
+        self._copies.append(self.tracked)
+
+    @property
+    def map(self):
+        """How wet each cell is, see `TrackedMap.map`; None until `wet` is called."""
+        return None if self.tracked is None else self.tracked.map
 
     @property
     def maps(self):

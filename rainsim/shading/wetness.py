@@ -139,24 +139,26 @@ def ground_wetness(terrain, grass, reach, config):
     return found
 
 
-def with_tracks(ground, tracks):
-    """Return the wetness of ground cells where tyres have thinned the film; the pores stay wet.
+def thin_film(ground_out, tracks):
+    """Thin the film of ground cells where tyres have passed, in place; the pores stay wet.
 
     Parameters
     ----------
-    ground : ndarray of shape (ny, nx, 4), float32
+    ground_out : ndarray of shape (ny, nx, 4), float32
         See `ground_wetness`.
-    tracks : ndarray of shape (ny, nx) or (0, 0), uint8
+    tracks : ndarray of shape (ny, nx), uint8
         How full the film is, of 255.
+
+    Returns
+    -------
+    slice
+        Rows that have changed; tyres touch few rows of a map.
     """
-    if not tracks.size:
-        return ground
-    ground, thinned = ground.copy(), np.flatnonzero(tracks.min(axis=1) < 255)
-    if thinned.size:  # tyres touch few rows of a map
-        rows = slice(thinned[0], thinned[-1] + 1)
-        film = ground[rows, :, Wetness._fields.index("film")]
-        film *= tracks[rows].astype(np.float32) / np.float32(255)
-    return ground
+    thinned = np.flatnonzero(tracks.min(axis=1) < 255)
+    rows = slice(thinned[0], thinned[-1] + 1) if thinned.size else slice(0, 0)
+    film = ground_out[rows, :, Wetness._fields.index("film")]
+    film *= tracks[rows].astype(np.float32) / np.float32(255)
+    return rows
 
 
 def off_ground_wetness(config):

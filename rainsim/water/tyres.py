@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from rainsim.actors.motion import Motion
 from rainsim.actors.wheels import MOST_WHEELS, REMEDY
@@ -26,6 +25,8 @@ from rainsim.rain.throws import (
     thrown_rates,
 )
 from rainsim.rain.wind import wind_at
+from rainsim.terrain.table import class_table
+from rainsim.water.tracks import REACH, blur_weights, lay_tracks
 
 LEFT = 1e-4  # m of water that stays in the road's texture under a tyre; an assumption
 LONGEST_STEP = 1 / 24  # s: within it a tyre rolls straight at one speed
@@ -150,18 +151,19 @@ class Tyres:
         if self._box is None:
             return NO_TRACKS
         part = self.passed()
-        full = np.maximum(self._terrain.by_class("storage", part), LEFT)
-        share = np.clip(depth[part] / full, 0, 1)
-        share = np.where(self._passed[part], share, 1.0).astype(np.float32)
         tracks = np.full(self._passed.shape, 255, np.uint8)
-        tracks[part] = np.rint(ndimage.gaussian_filter(share, SHOULDER) * 255)
+        lay_tracks(
+            depth[part], self._passed[part], self._terrain.ground_class[part],
+            class_table().column("storage"), np.float32(LEFT), blur_weights(SHOULDER),
+            tracks[part],
+        )  # fmt: skip
         return tracks
 
     def passed(self):
         """Return rows and columns, two slices, of what `tracks` looks at; None if it is nothing."""
         if self._box is None:
             return None
-        return self._passed_part(math.ceil(4 * SHOULDER) + 1)  # the blur reaches no farther
+        return self._passed_part(math.ceil(REACH * SHOULDER) + 1)  # the blur reaches no farther
 
     def _passed_part(self, margin=0):
         """Return rows and columns, two slices, about all that tyres have passed."""

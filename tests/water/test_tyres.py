@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from rainsim import pipeline
 from rainsim.actors.actor import Actor
@@ -20,6 +21,7 @@ from rainsim.errors import InputError, ParameterError
 from rainsim.grid import WaterSolver
 from rainsim.io.states import AT, NO_THROWS, read_state, write_state
 from rainsim.particles.spray import lay_clouds, spray_seen
+from rainsim.rain import throws
 from rainsim.rain.throws import (
     BOW,
     FILM,
@@ -36,6 +38,7 @@ from rainsim.rain.throws import (
     mist_left,
     mist_puffs,
     mist_share,
+    on_their_way,
     parcels_of,
     thrown_rates,
 )
@@ -43,6 +46,7 @@ from rainsim.render.renderer import Renderer
 from rainsim.scene.folder import read_scene, write_scene
 from rainsim.scene.types import GroundFrame
 from rainsim.terrain.types import Grid
+from rainsim.water.tracks import REACH, blur_weights, lay_tracks
 from rainsim.water.tyres import FASTEST, LEFT, Tyres
 from scenes import looking, rolling_scene
 
@@ -296,16 +300,43 @@ def test_states_keep_what_is_in_the_air(states, ground, tmp_path):
         read_state(tmp_path / "u.npz")
 
 
-def test_parcels_of_known_throws_are_not_computed_again():
-    """Of a table that grows and shrinks; then of another."""
+def test_parcels_of_known_throws_are_not_computed_again(monkeypatch):
+    """Of a table that grows and shrinks, and of another; time goes on, and back."""
     table, ids, _ = thrown()
-    known, assert_same = KnownParcels(), np.testing.assert_array_equal
-    for part in (slice(0, 5), slice(0, 5), slice(2, 9), slice(8, 12), slice(0, 3), slice(20, 21)):
-        for found, wanted in zip(
-            known.of(table[part], ids[part]), parcels_of(table[part], ids[part]), strict=True
-        ):
-            assert_same(found, wanted)
-    assert not len(known.of(table[:0], ids[:0]).row)
+    known, computed = KnownParcels(), []
+    monkeypatch.setattr(
+        throws, "parcels_of", lambda *a: (computed.append(len(a[0])), parcels_of(*a))[1]
+    )
+    parts = (0, 3), (0, 3), (1, 5), (4, 6), (0, 2), (0, 2), (5, 6), (0, 0)
+    for (first, end), time in zip(parts, (0.1, 0.12, 0.2, 0.25, 5.0, 0.15, 0.3, 0.4), strict=True):
+        part = slice(first, end)
+        every = on_their_way(parcels_of(table[part], ids[part]), time)
+        over = flown(every, time - every.begin)[0][:, 2] > every.road
+        found = known.flying(table[part], ids[part], time)
+        over_too = flown(found, time - found.begin)[0][:, 2] > found.road
+        for a, b in zip(found.take(over_too), every.take(over), strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert len(found.row) <= len(every.row) and over.any() == (time < 1 and end > first)
+    assert computed == [3, 0, 2, 1, 2, 2, 1, 0]
+
+
+@pytest.mark.parametrize("shape", [(40, 31), (3, 50), (1, 1)])
+def test_tracks_are_the_blurred_shares_of_the_film(shape):
+    rng = np.random.default_rng(3)
+    depth, passed = rng.uniform(0, 4e-4, shape).astype(np.float32), rng.random(shape) < 0.4
+    classes, holds = (
+        rng.integers(0, 3, shape).astype(np.uint8),
+        np.array([0, 2e-4, 3e-4], np.float32),
+    )
+    full = np.maximum(holds[classes], np.float32(LEFT))
+    share = np.where(passed, np.clip(depth / full, 0, 1), np.float32(1)).astype(np.float32)
+    wanted = np.rint(ndimage.gaussian_filter(share, 1.3, truncate=REACH) * 255).astype(np.uint8)
+    tracks = np.full(shape, 7, np.uint8)
+    lay_tracks(depth, passed, classes, holds, np.float32(LEFT), blur_weights(1.3), tracks)
+    np.testing.assert_array_equal(tracks, wanted)
+    assert passed.size < 9 or np.ptp(tracks) > 20
+    lay_tracks(depth, passed & False, classes, holds, np.float32(LEFT), blur_weights(1.3), tracks)
+    assert (tracks == 255).all()
 
 
 # --- the picture ----------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ class MovingActors:
             # Found while the device draws the frame before.
             exposure, camera = conductor.now.render.exposure, conductor.ground_camera
             spray = *flocks_seen(
-                state.throws, state.throw_id, camera, state.time, exposure, self._parcels.of
+                state.throws, state.throw_id, camera, state.time, exposure, self._parcels.flying
             ), camera  # fmt: skip
         frame.pending.append(lambda: self._send_moment(moment, spray))
         # Those that follow, if they do, while the device draws these.

@@ -14,6 +14,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.lod.paged import ChunkPicture
+from rainsim.cuda.rain.moving_surfaces import joined_rows
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.render.passes import Passes
 from rainsim.particles.fog import FOG_STEPS
@@ -139,12 +140,13 @@ class DeviceFrame:
         """Return what is sent again when another stands in its place: name, value, how."""
         scene = self.conductor.wet_scene
         copies = {
-            "ground_map": scene.ground.map, "behind": scene.sky.behind,
+            "behind": scene.sky.behind,
             "behind_mirrored": scene.sky.behind_mirrored,
             "rings": self.conductor.frame["rings"] if "rings" in self.conductor.frame
             else self.conductor.ground.rings,
         }  # fmt: skip
         kept = [(name, array, partial(self._copy, name)) for name, array in copies.items()]
+        kept.append(("ground_map", scene.ground.tracked, self._send_ground))
         if scene.capture.actors is not None and scene.capture.paged is None:
             kept.append(("actors", scene.capture.actors.placed, self._send_actors))
         kept.append(("bodies", scene.ground.bodies.now, self._copy_bodies))
@@ -165,6 +167,15 @@ class DeviceFrame:
 
     def _copy(self, name, array):
         self._staging.send(self._buffers[name], np.asarray(array, np.float32))
+
+    def _send_ground(self, tracked):
+        """Send the rows of a `TrackedMap` that differ from those that are there."""
+        before, there = self._sent["ground_map"], self._buffers["ground_map"]
+        rows = [each.rows for each in (before, tracked) if each.rows.start < each.rows.stop]
+        if before.untouched is not tracked.untouched:
+            rows = [slice(0, len(tracked.map))]
+        for part in joined_rows(rows):
+            self._staging.send(there[part], tracked.map[part])
 
     def _copy_bodies(self, bodies):
         there = self._buffers["bodies"]
