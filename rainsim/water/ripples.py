@@ -327,8 +327,13 @@ def ring_share(rained, spacing, reach, weight):
     a convolution with exp(-r / l) / (2 pi l r), in Fourier space 1 / sqrt(1 + (q l)^2). That the
     land stops them is left out.
     """
-    margin = max(int(2.0 / spacing), 1)  # m of it around: the transform is periodic
-    padded = np.pad(np.asarray(rained, np.float32), margin, mode="edge")
+    if rained.min() == rained.max():
+        return np.sqrt(rained, dtype=np.float32)
+    margin = max(int(2.0 / spacing), 1)  # m of it around at least: the transform is periodic
+    # Few sizes, and of small factors: in a third of the time, and their factors are known sooner.
+    around = [(margin, scipy.fft.next_fast_len(n + 2 * margin, real=True) - n - margin)
+              for n in rained.shape]  # fmt: skip
+    padded = np.pad(np.asarray(rained, np.float32), around, mode="edge")
     shape, spectrum = padded.shape, scipy.fft.rfft2(padded)
     del padded  # maps of millions of cells are let go as soon as they may
     lengths, shares = (tuple(a.astype(np.float32)) for a in (reach, weight))
@@ -337,7 +342,7 @@ def ring_share(rained, spacing, reach, weight):
         rows = first, min(first + ROWS, shape[0])
         spectrum[slice(*rows)] *= found(shape, rows, spacing, lengths, shares)
     energy = scipy.fft.irfft2(spectrum, s=shape, overwrite_x=True)
-    energy = energy[margin:-margin, margin:-margin]
+    energy = energy[tuple(slice(before, -after) for before, after in around)]
     return np.sqrt(np.clip(energy, 0.0, 1.0)).astype(np.float32, copy=False)
 
 
