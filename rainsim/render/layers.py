@@ -31,7 +31,7 @@ SEEN_SPLASH = 1 / 512  # share of a pixel's light from which a splash is labelle
 TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
          "water_depth")  # fmt: skip
 
-# The layer of depth is a label; what is drawn, and what drops are before, is the buffer of that name.
+# The layer of depth is a label; the buffer of that name is of what is drawn and hides drops.
 BUFFERS = {"depth": "surface_depth", "drawn_depth": "depth"}
 
 LAYER_PASSES, WORK = [], {}  # in the order of this file; what each computes, see `Frame.make`
