@@ -283,14 +283,18 @@ def boxes_of(ids):
     list of dict
         id, box (left, top, right, bottom) [px], right and bottom not included, and pixels.
     """
-    counts = np.bincount(ids.ravel())
-    numbers = np.flatnonzero(counts)
-    numbers = numbers[numbers > 0]
-    place = np.zeros(len(counts), np.int32)
-    place[numbers] = np.arange(1, len(numbers) + 1)
-    found = ndimage.find_objects(place[ids]) if len(numbers) else ()
-    boxes = []
-    for number, (rows, columns) in zip(numbers, found, strict=True):
-        box = [columns.start, rows.start, columns.stop, rows.stop]
-        boxes.append({"id": int(number), "box": box, "pixels": int(counts[number])})
-    return boxes
+    place = np.flatnonzero(ids)
+    if not len(place):
+        return []
+    number = ids.ravel()[place]
+    order = stable_order(number)
+    number, (row, column) = number[order], np.divmod(place[order], ids.shape[1])
+    first = np.flatnonzero(np.diff(number, prepend=0))
+    after = np.append(first[1:], len(place))
+    left, right = np.minimum.reduceat(column, first), np.maximum.reduceat(column, first) + 1
+    top, bottom = row[first], row[after - 1] + 1  # rows ascend within each number
+    values = number[first], left, top, right, bottom, after - first
+    return [
+        {"id": n, "box": box, "pixels": pixels}
+        for n, *box, pixels in zip(*(v.tolist() for v in values), strict=True)
+    ]

@@ -282,8 +282,9 @@ def _position(surface_depth, ground_camera):
 
 
 @layer("glare")
-def _glare(dazzling, shown):
-    return dazzling - shown
+def _glare(dazzling, shown, render):
+    # A GPU's finished picture differs by rounding from the one that is made again without halos.
+    return np.zeros_like(dazzling) if render.glare == "off" else dazzling - shown
 
 
 for _name in ("drop_flow", "near_alpha", "spray_alpha", "rain_depth"):
