@@ -45,8 +45,8 @@ MOST_LAYERS = 26  # AOVs of a picture's labels, and those of two that are being 
     metavar="all|N|NAME,NAME",
     default="all",
     show_default=True,
-    help="Cameras of the capture: all, N of them evenly in their order, or by name. "
-    "All see one moment.",
+    help="Cameras of the capture: all, N of them evenly in their order, or by name (12, is the "
+    "camera 12). All see one moment.",
 )
 @click.option(
     "--path",
@@ -225,14 +225,15 @@ def _cameras(status, scene, config, given):
         else:
             cameras, notes = shot_cameras(shot, scene, given, config.fps)
             status.notes(notes)
-    elif views == "all" or (given["drive_speed"] is not None and _number_of(views, scene)):
+    elif views == "all" or (given["drive_speed"] is not None and _number_of(views)):
         cameras = scene.cameras
-    elif _number_of(views, scene):
+    elif _number_of(views):
         count = min(int(views), len(scene.cameras))
         step = len(scene.cameras) / count
         cameras = [scene.cameras[int((k + 0.5) * step)] for k in range(count)]
     else:
-        cameras = [named_camera(scene, name.strip()) for name in views.split(",")]
+        names = views.removesuffix(",").split(",")
+        cameras = [named_camera(scene, name.strip()) for name in names]
         for place, camera in enumerate(cameras):
             if any(camera is other for other in cameras[:place]):
                 raise ParameterError(
@@ -255,11 +256,10 @@ def as_square_as(sized, camera):
     return replace(sized, fy=fy, cy=middle + (sized.cy - middle) * fy / sized.fy)
 
 
-def _number_of(views, scene):
-    """Return the number that --views is, None if it is no number or names a camera."""
-    names = {camera.name for camera in scene.cameras}
-    is_number = views.isdecimal() and len(views) < 10 and views not in names
-    return int(views) or None if is_number else None
+def _number_of(views):
+    """Return the number that --views is, None if it is none or written as none: 07."""
+    is_number = views.isdecimal() and len(views) < 10 and views[0] != "0"
+    return int(views) if is_number else None
 
 
 def _plan(status, scene, cameras, lens, rates, config, layout, given, rig=None):
@@ -306,7 +306,7 @@ def _driven(status, scene, cameras, fps, given):
 
     assumed, speed = scene.ground_frame.scale_assumed, given["drive_speed"]
     if speed is not None:
-        cameras = placed_by_speed(cameras, speed, fps, _number_of(given["views"], scene))
+        cameras = placed_by_speed(cameras, speed, fps, _number_of(given["views"]))
     else:
         check_pace(cameras, fps, assumed)
     status.notes([pace_note(cameras, fps, assumed)])

@@ -65,9 +65,10 @@ def command_lines(use, folder):
     scene = f"{folder}/{CAPTURE}" if use == CAPTURE else use if use in SCENES else SCENE
     preset, changes = USES.get(use, USES["downpour" if use in SCENES else "drizzle"])
     words = [word for name, value in changes.items() for word in (f"--{name}", value)]
-    words += ["--layers", "all", "--orbit"] if use == LAYERS else []
     words += ["--drive"] if use == TRAFFIC else []
     count = "4" if preset == "paper" else "2"  # its water moves from the third on
+    if use == LAYERS:  # two frames of a slow circle: a cut has no flow
+        words, count = [*words, "--layers", "all", "--orbit", "--frame-range", "0:2"], "240"
     return [
         ("run", "--scene", scene, "--preset", preset, *SIZE, "--frames", count, *words, "--out",
          f"{folder}/frames", "-q"),

@@ -14,7 +14,7 @@ from rainsim.datasets.data_files import (
     DataFile,
     condition,
 )
-from rainsim.datasets.sample import depth_mm, flow_known, kitti_flow
+from rainsim.datasets.sample import depth_mm
 
 
 def sample_files(sample, plan):
@@ -34,8 +34,7 @@ def sample_files(sample, plan):
         share = np.rint(np.clip(sample.glass, 0, 1) * 65535).astype(np.uint16)
         yield DataFile(f"{folder}/glass/{name}.png", PNG16, share)
     if sample.flow is not None:
-        flow = kitti_flow(sample.flow, flow_known(sample, hidden_too=True))
-        yield DataFile(f"{folder}/flow/{name}.png", PNG48, flow)
+        yield DataFile(f"{folder}/flow/{name}.png", PNG48, sample.flow_picture)
         mask = sample.flow_mask.astype(np.uint8)
         yield DataFile(f"{folder}/flow_mask/{name}.png", PNG, mask)
     for kind, picture in sample.partners.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,16 @@ class DataFile:
 def condition(rate):
     """Return the folder of a rain in a data set: clear, or rain/10mm as rain-rendering names it."""
     return f"rain/{rate:g}mm" if rate > 0 else "clear"
+
+
+def write_files(folder, files):
+    """Write `DataFile`s of the same content below a folder: it is packed once."""
+    write_file(folder, files[0])
+    for file in files[1:]:
+        path = folder / file.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as temporary:
+            shutil.copyfile(folder / files[0].name, temporary)
 
 
 def write_file(folder, file):

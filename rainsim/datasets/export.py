@@ -13,7 +13,7 @@ from functools import partial
 
 from rainsim.datasets import LAYOUTS, beside
 from rainsim.datasets.card import card_of, card_text
-from rainsim.datasets.data_files import TEXT, DataFile, write_file
+from rainsim.datasets.data_files import TEXT, DataFile, write_file, write_files
 from rainsim.datasets.sample import Cloud
 from rainsim.errors import ParameterError
 from rainsim.io.files import card_in, write_json
@@ -134,9 +134,13 @@ class DataSetFolder:
         else:
             files = [*self.layout.sample_files(sample, self.plan),
                      *beside.sample_files(sample, self.plan)]  # fmt: skip
+        same = {}
+        for file in files:
+            same.setdefault((file.kind, id(file.content)), []).append(file)
         # PNGs are packed outside the interpreter's lock, each on a core of its own.
         with ThreadPoolExecutor() as pool:
-            return list(pool.map(partial(write_file, self.folder), files))
+            list(pool.map(partial(write_files, self.folder), same.values()))
+        return [file.name for file in files]
 
     def note(self, sample, names):
         """Note a sample as finished whose files are whole."""

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.datasets.data_files import PNG, PNG16, PNG48, TEXT, DataFile, condition
 from rainsim.datasets.kinds import kind_of
-from rainsim.datasets.sample import flow_known, kitti_depth, kitti_flow
+from rainsim.datasets.sample import kitti_depth
+from rainsim.render.labels import SEEN
 from rainsim.scene.view import camera_points, image_point
 from rainsim.sensors.rig import CAMERA_FROM_LIDAR
 
@@ -44,9 +45,9 @@ def sample_files(sample, plan):
         before = f"{view.number - 1:06d}_11.png"
         yield DataFile(f"{training}/image_{channel}/{before}", PNG, sample.picture)
     if channel == COLOR and not plan.is_last(view):
-        for name, hidden_too in (("flow_occ", True), ("flow_noc", False)):
-            flow = kitti_flow(sample.flow, flow_known(sample, hidden_too))
-            yield DataFile(f"{training}/{name}/{number}_10.png", PNG48, flow)
+        flow, seen = sample.flow_picture, sample.flow_mask == SEEN
+        yield DataFile(f"{training}/flow_occ/{number}_10.png", PNG48, flow)
+        yield DataFile(f"{training}/flow_noc/{number}_10.png", PNG48, flow * seen[..., None])
 
 
 def plan_files(plan, folder):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from rainsim.render.labels import SEEN
 from rainsim.terrain.table import WATER
 
 REPLACED = 1 / 32  # share of a pixel's light from which drops and splashes spoil it
@@ -92,6 +92,11 @@ class Sample:
     partners: dict = field(default_factory=dict)  # pictures by the names of PARTNERS
     cloud: tuple | None = None  # see `rainsim.datasets.clouds.Clouds.cloud`
 
+    @cached_property
+    def flow_picture(self):
+        """Its flow as `kitti_flow` has it, known also where the next picture hides it."""
+        return kitti_flow(self.flow, self.flow_mask > 0)
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -157,8 +162,3 @@ def kitti_flow(flow, valid):
     out[..., :2] = np.where(valid[..., None], values, 0)
     out[..., 2] = valid
     return out
-
-
-def flow_known(sample, hidden_too):
-    """Return where a sample's flow counts: what the next frame shows, or also what it hides."""
-    return sample.flow_mask > 0 if hidden_too else sample.flow_mask == SEEN

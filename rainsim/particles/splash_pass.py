@@ -183,7 +183,7 @@ def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, de
 
 
 def _run_pass(field, surfaces, camera, view, water, depth, alpha_out, more, room):
-    """Draw, and return each worker's list of splashes: their number, their places and ids."""
+    """Draw, or with `room` return each worker's list of splashes: number, places and ids."""
     require_pictures(camera, depth, alpha_out)
     windows, tasks = _windows(field, surfaces, camera, view, water, max(float(depth.min()), NEAR))
     columns, tiles, pictures = drawing_buffers(depth.shape)
@@ -234,7 +234,7 @@ def _draw_splashes(
 ):  # fmt: skip
     """List the drops that splash in view, slab by slab of cubes, and draw their splashes.
 
-    Each worker draws its lines whenever it has enough of them.
+    Each worker draws its lines whenever it has enough of them, none if there is room for a list.
     """
     workers = pictures.shape[0]
     height, width = alpha_out.shape
@@ -343,6 +343,8 @@ def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids
         position_out[seen_out[0], 2] = impact.z
         ids_out[seen_out[0]] = impact.key
     seen_out[0] += 1
+    if len(ids_out) > 0:
+        listed[0] = 0
     if listed[0] > _ROOM - _MOST_LINES:
         draw_lines(lines, 0, listed[0], 1, view, scene, picture)
         listed[0] = 0

@@ -13,17 +13,17 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim.numerics.blocks import in_blocks
+from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.numerics.blocks import stable_order
 from rainsim.reflection import water_record
 from rainsim.scene.types import Camera
-from rainsim.scene.view import image_point, pixel_rays, rays
+from rainsim.scene.view import pixel_rays, rays
 from rainsim.shading.wetting import FLAT
 from rainsim.terrain.table import OBJECT, WATER, class_table
 from rainsim.water.puddles import WET
 
 # Values of the AOV flow_mask.
 NO_FLOW, SEEN, OCCLUDED, OUTSIDE = range(4)
-BLOCK = 16
 SAME_SURFACE = 0.02  # of the depth by which the next frame's depth may differ on one surface
 OTHER_CLASS = 255  # id of what is neither ground nor water; loaders ignore it by custom
 GROUND_REACH = 0.1  # m over or under the bed: what is farther from it is no ground
@@ -68,67 +68,75 @@ def flow_of(depth, camera, after, depth_after, number=None, moves=None):
         NO_FLOW: behind the next camera. SEEN: the next picture shows the same surface there.
         OCCLUDED: it shows another one. OUTSIDE: the place lies outside the next picture.
     """
-    turn = after.camera_from_world[:3, :3] @ camera.camera_from_world[:3, :3].T
-    shift = after.camera_from_world[:3, 3] - turn @ camera.camera_from_world[:3, 3]
-    own = {
-        actor: after.camera_from_world @ move @ np.linalg.inv(camera.camera_from_world)
-        for actor, move in (moves or {}).items()
-    }
+    number = np.zeros(depth.shape, np.uint16) if number is None else number.astype(np.uint16)
+    begin = np.linalg.inv(camera.camera_from_world)
+    steps = np.empty((int(number.max(initial=0)) + 1, 4, 4))
+    steps[:] = after.camera_from_world @ begin
+    for actor, move in (moves or {}).items():
+        if actor < len(steps):
+            steps[actor] = after.camera_from_world @ move @ begin
+    lens, lens_after = (
+        np.array([c.fx, c.fy, c.cx, c.cy], np.float64) for c in (camera, after)
+    )  # fmt: skip
     flow = np.empty((*depth.shape, 2), np.float32)
     mask = np.empty(depth.shape, np.uint16)
-    with np.errstate(divide="ignore"):
-        nearness = 1 / depth_after.astype(np.float64)
-
-    def find(rows):
-        """Write flow and mask of a block of rows."""
-        v, u = np.mgrid[rows, : camera.width] + 0.5
-        ray, here = rays(camera, u, v), depth[rows]
-        far = ~np.isfinite(here)
-        # Over the depth: a point at infinity has no shift.
-        per_depth = np.where(far, 0.0, 1 / np.where(far, 1.0, here.astype(np.float64)))
-        there = ray @ turn.T + per_depth[..., None] * shift
-        for actor, matrix in own.items():
-            mine = (number[rows] == actor) & ~far
-            there[mine] = ray[mine] @ matrix[:3, :3].T + per_depth[mine, None] * matrix[:3, 3]
-        x, y, z = np.moveaxis(there, -1, 0)
-        ahead = z > 1e-6
-        z = np.where(ahead, z, 1.0)
-        u, v = image_point(after, x, y, z)
-        found = flow[rows]
-        found[..., 0] = u - ray[..., 0] * camera.fx - camera.cx
-        found[..., 1] = v - ray[..., 1] * camera.fy - camera.cy
-        found[~ahead] = 0
-        inside = ahead & (u >= 0) & (u < after.width) & (v >= 0) & (v < after.height)
-        shown = np.where(ahead, OUTSIDE, NO_FLOW)
-        expected = np.where(far, np.inf, z * np.where(far, 1.0, here))[inside]
-        same = _is_shown(expected, depth_after, nearness, u[inside], v[inside])
-        shown[inside] = np.where(same, SEEN, OCCLUDED)
-        mask[rows] = shown
-
-    in_blocks(find, camera.height, BLOCK)
+    _find_flow(
+        *(np.ascontiguousarray(d, np.float32) for d in (depth, depth_after)), number, steps,
+        lens, lens_after, flow, mask,
+    )  # fmt: skip
     return flow, mask
 
 
-def _is_shown(expected, depth, nearness, u, v):
-    """Tell whether a picture shows the expected depth at image points; `nearness` is 1 / `depth`.
+@cpu_kernel
+def _find_flow(depth, depth_after, number, steps, lens, lens_after, flow_out, mask_out):
+    """Write flow and mask; `steps` take camera points to the next camera, by the actor's number."""
+    rows, columns = depth_after.shape
+    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
+    for row in prange(depth.shape[0]):
+        b = (row + 0.5 - cy) / fy
+        for column in range(depth.shape[1]):
+            a = (column + 0.5 - cx) / fx
+            here = np.float64(depth[row, column])
+            # Over the depth: a point at infinity has no shift.
+            far = not here < np.inf
+            step, nearness = steps[0 if far else number[row, column]], 0.0 if far else 1 / here
+            x = step[0, 0] * a + step[0, 1] * b + step[0, 2] + nearness * step[0, 3]
+            y = step[1, 0] * a + step[1, 1] * b + step[1, 2] + nearness * step[1, 3]
+            z = step[2, 0] * a + step[2, 1] * b + step[2, 2] + nearness * step[2, 3]
+            if not z > 1e-6:
+                flow_out[row, column, 0], flow_out[row, column, 1] = 0, 0
+                mask_out[row, column] = NO_FLOW
+                continue
+            u, v = lens_after[0] * x / z + lens_after[2], lens_after[1] * y / z + lens_after[3]
+            flow_out[row, column, 0] = u - a * fx - cx
+            flow_out[row, column, 1] = v - b * fy - cy
+            if not (u >= 0 and u < columns and v >= 0 and v < rows):
+                mask_out[row, column] = OUTSIDE
+                continue
+            same = _is_shown(np.inf if far else z * here, depth_after, u, v)
+            mask_out[row, column] = SEEN if same else OCCLUDED
+
+
+@device_function
+def _is_shown(expected, depth, u, v):
+    """Tell whether a picture shows the expected depth at an image point.
 
     Of planes the inverse of the depth is linear over the picture, so that it is interpolated; along
     edges the pixel that holds the point decides.
     """
-    height, width = depth.shape
-    nearest = depth[np.minimum(v.astype(np.int64), height - 1),
-                    np.minimum(u.astype(np.int64), width - 1)]  # fmt: skip
-    column, row = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
-    i, j = np.minimum(column.astype(int), width - 2), np.minimum(row.astype(int), height - 2)
+    rows, columns = depth.shape
+    nearest = np.float64(depth[np.int64(v), np.int64(u)])
+    if not expected < np.inf:
+        return not nearest < np.inf
+    if abs(nearest - expected) < SAME_SURFACE * expected:
+        return True
+    column, row = min(max(u - 0.5, 0.0), columns - 1.0), min(max(v - 0.5, 0.0), rows - 1.0)
+    i, j = min(np.int64(column), columns - 2), min(np.int64(row), rows - 2)
     a, b = column - i, row - j
-    with np.errstate(divide="ignore", invalid="ignore"):
-        top = nearness[j, i] * (1 - a) + nearness[j, i + 1] * a
-        bottom = nearness[j + 1, i] * (1 - a) + nearness[j + 1, i + 1] * a
-        between = 1 / (top * (1 - b) + bottom * b)
-        found = ~np.isfinite(expected) & ~np.isfinite(nearest)
-        for there in (nearest, between):
-            found |= np.abs(there - expected) < SAME_SURFACE * expected
-    return found
+    top = (1 - a) / np.float64(depth[j, i]) + a / np.float64(depth[j, i + 1])
+    bottom = (1 - a) / np.float64(depth[j + 1, i]) + a / np.float64(depth[j + 1, i + 1])
+    between = 1 / (top * (1 - b) + bottom * b)
+    return abs(between - expected) < SAME_SURFACE * expected
 
 
 def without_flow(report):
@@ -215,10 +223,12 @@ def puddle_map(terrain, depth):
     mine = label[wet] - 1
     cells = np.bincount(mine, minlength=count)
     volume = np.bincount(mine, deep, count) * terrain.grid.cell_area
-    deepest = np.full(count, -np.inf)
-    np.maximum.at(deepest, mine, deep)
-    order = np.lexsort((wet, terrain.bed.ravel()[wet], mine))
-    lowest = wet[order[np.searchsorted(mine[order], np.arange(count))]]
+    order = stable_order(mine)
+    first = np.cumsum(cells) - cells
+    deepest = np.maximum.reduceat(deep[order], first)
+    bed = terrain.bed.ravel()[wet[order]]
+    low = order[bed == np.repeat(np.minimum.reduceat(bed, first), cells)]
+    lowest = wet[low[np.searchsorted(mine[low], np.arange(count))]]
     label = label.reshape(depth.shape)
     used = set()
     for k in np.argsort(-cells, kind="stable"):  # the largest first: small ones give way
@@ -273,14 +283,18 @@ def boxes_of(ids):
     list of dict
         id, box (left, top, right, bottom) [px], right and bottom not included, and pixels.
     """
-    counts = np.bincount(ids.ravel())
-    numbers = np.flatnonzero(counts)
-    numbers = numbers[numbers > 0]
-    place = np.zeros(len(counts), np.int32)
-    place[numbers] = np.arange(1, len(numbers) + 1)
-    found = ndimage.find_objects(place[ids]) if len(numbers) else ()
-    boxes = []
-    for number, (rows, columns) in zip(numbers, found, strict=True):
-        box = [columns.start, rows.start, columns.stop, rows.stop]
-        boxes.append({"id": int(number), "box": box, "pixels": int(counts[number])})
-    return boxes
+    place = np.flatnonzero(ids)
+    if not len(place):
+        return []
+    number = ids.ravel()[place]
+    order = stable_order(number)
+    number, (row, column) = number[order], np.divmod(place[order], ids.shape[1])
+    first = np.flatnonzero(np.diff(number, prepend=0))
+    after = np.append(first[1:], len(place))
+    left, right = np.minimum.reduceat(column, first), np.maximum.reduceat(column, first) + 1
+    top, bottom = row[first], row[after - 1] + 1  # rows ascend within each number
+    values = number[first], left, top, right, bottom, after - first
+    return [
+        {"id": n, "box": box, "pixels": pixels}
+        for n, *box, pixels in zip(*(v.tolist() for v in values), strict=True)
+    ]

@@ -31,6 +31,9 @@ SEEN_SPLASH = 1 / 512  # share of a pixel's light from which a splash is labelle
 TERMS = ("coverage", "reflection", "reflection_source", "refraction", "fresnel", "highlight",
          "water_depth")  # fmt: skip
 
+# The layer of depth is a label; the buffer of that name is of what is drawn and hides drops.
+BUFFERS = {"depth": "surface_depth", "drawn_depth": "depth"}
+
 LAYER_PASSES, WORK = [], {}  # in the order of this file; what each computes, see `Frame.make`
 
 
@@ -52,6 +55,11 @@ def layer(*writes, name=""):
         return compute
 
     return passed
+
+
+def buffers_of(names):
+    """Return the buffers of a `Frame` that hold layers of these names."""
+    return [BUFFERS.get(name, name) for name in names]
 
 
 def facts_of(names, frame, weather):
@@ -95,9 +103,14 @@ def _film(picture, below):
     return picture - below
 
 
+@layer("surface_depth")
+def _surface_depth(layers, view, scene):
+    return scene.depth_of(layers, view)
+
+
 @layer("range")
-def _range(depth, ground_camera):
-    return labels.range_of(depth, ground_camera)
+def _range(surface_depth, ground_camera):
+    return labels.range_of(surface_depth, ground_camera)
 
 
 @layer("height")
@@ -190,20 +203,19 @@ def _actors(camera, scene, interval):
 
 
 @layer("flow", "flow_mask")
-def _flow(depth, ground_camera, next_ground_camera, interval, actors, scene):
+def _flow(surface_depth, ground_camera, next_ground_camera, interval, actors, scene):
     """Return motion and mask of the scene, see `labels.flow_of`; zero and seen if it is still."""
     if next_ground_camera is None:
-        return np.zeros((*depth.shape, 2), np.float32), np.full(depth.shape, labels.SEEN, np.uint16)
+        shape = surface_depth.shape
+        return np.zeros((*shape, 2), np.float32), np.full(shape, labels.SEEN, np.uint16)
     if actors is not None:
         scene.move_actors(actors.time + interval)
-    seen = scene.picture(scene.frame.camera_in_capture(next_ground_camera))
-    if actors is None:
-        return labels.flow_of(depth, ground_camera, next_ground_camera, seen.depth)
-    scene.move_actors(actors.time)
-    moves = actor_labels.moves_of(actors)
-    return labels.flow_of(
-        depth, ground_camera, next_ground_camera, seen.depth, actors.number, moves
-    )
+    after = scene.surface_depth(scene.frame.camera_in_capture(next_ground_camera))
+    own = ()
+    if actors is not None:
+        scene.move_actors(actors.time)
+        own = actors.number, actor_labels.moves_of(actors)
+    return labels.flow_of(surface_depth, ground_camera, next_ground_camera, after, *own)
 
 
 @layer("class_id")
@@ -261,17 +273,18 @@ def _matte(layers):
 
 
 @layer("position")
-def _position(depth, ground_camera):
+def _position(surface_depth, ground_camera):
     """Return the places of surfaces in the ground frame [m], zero for sky."""
-    away = np.where(np.isfinite(depth), depth, 0)[..., None]
+    away = np.where(np.isfinite(surface_depth), surface_depth, 0)[..., None]
     turn = ground_camera.camera_from_world[:3, :3]
     place = pixel_rays(ground_camera) * away @ turn + ground_camera.position
     return np.where(away > 0, place, 0).astype(np.float32)
 
 
 @layer("glare")
-def _glare(dazzling, shown):
-    return dazzling - shown
+def _glare(dazzling, shown, render):
+    # A GPU's finished picture differs by rounding from the one that is made again without halos.
+    return np.zeros_like(dazzling) if render.glare == "off" else dazzling - shown
 
 
 for _name in ("drop_flow", "near_alpha", "spray_alpha", "rain_depth"):

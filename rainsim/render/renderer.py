@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from rainsim.reflection.water_pass import WetPicture, choice_of
 from rainsim.render.conductor import Conductor
-from rainsim.render.layers import facts_of
+from rainsim.render.layers import buffers_of, facts_of
 from rainsim.render.passes import Passes
 from rainsim.render.report import FrameReport, Timer
 from rainsim.render.weather import weather_of
@@ -89,7 +89,7 @@ class Renderer:
         conductor.take(camera, state, camera_end)
         conductor.take_water(state)
         before = self.frame["image"] if "image" in self.frame else None
-        self.frame.make(("image", *names), self.passes.work, timer.mark)
+        self.frame.make(("image", *buffers_of(names)), self.passes.work, timer.mark)
         if not self._choice_is_noted and (choice := choice_of(self.frame["seen"])):
             self._choice_is_noted = True
             conductor.notes.append(choice)
@@ -123,4 +123,6 @@ def report_of(conductor, state, stages, names=()):
         "brightness": float(conductor.brightness),
     }  # fmt: skip
     facts = facts_of(names, frame, weather_of(conductor.now, frame["field"]))
-    return FrameReport(*given, {name: frame[name].copy() for name in names}, radiances, facts)
+    made = zip(names, buffers_of(names), strict=True)
+    return FrameReport(*given, {name: frame[buffer].copy() for name, buffer in made}, radiances,
+                       facts)  # fmt: skip

@@ -24,6 +24,7 @@ from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, Look, look_of, replaces_sky
 from rainsim.shading.skyline import skylines
+from rainsim.shading.surface_depth import find_surface_depth
 from rainsim.shading.visibility import badly_placed, views_of_splats, without_shreds
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetness import OffGroundWetness
@@ -208,6 +209,16 @@ class WetScene:
         return True
 
     # ---- pictures
+
+    def surface_depth(self, camera):
+        """Return the depth of surfaces that `camera` (capture frame) sees, float32 [m]."""
+        return self.depth_of(self.capture.layers(camera), self.view_of(camera))
+
+    def depth_of(self, layers, view):
+        """Return the depth of surfaces in splatted layers, see `find_surface_depth`."""
+        depth = np.empty(layers.alpha.shape, np.float32)
+        find_surface_depth(dry_picture(layers, self.frame.meters_per_unit), view, depth)
+        return depth
 
     def picture(self, camera, cover=NO_COVER):
         """Return the `WetPicture` that `camera` (capture frame) takes.

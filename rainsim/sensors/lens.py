@@ -19,6 +19,7 @@ from rainsim.scene.view import image_point, slopes
 MODELS = {"opencv": (4, 5), "fisheye": (4,)}  # numbers of coefficients
 WIDEST = math.tan(math.radians(80))  # off the axis that a pinhole picture is drawn to
 STEPS, CLOSE = 60, 1e-10  # of the inversion, in units of the focal length
+BEYOND = 1.25  # times the picture's farthest ray up to which flow trusts a polynomial outside it
 ALIKE, ALIKE_SHARE = 0.5, 0.05  # px and share of the flow by which it differs on one surface
 MOST_SIDE = 16384  # px of the wide picture
 REMEDY = "give other coefficients or a longer focal length"
@@ -171,6 +172,7 @@ class LensWarp:
     wide: object  # the pinhole camera whose picture is wide enough
     u: np.ndarray  # (height, width), float64, px: image points in the wide picture, with `v`
     v: np.ndarray
+    farthest: float  # tangent of the angle off the axis of the picture's farthest ray
 
     def colors(self, picture):
         """Return the distorted picture of 8-bit colours, interpolated bilinearly."""
@@ -219,8 +221,9 @@ class LensWarp:
         kept = self.nearest(mask).copy()
         outside = (u < 0) | (v < 0) | (u >= after.camera.width) | (v >= after.camera.height)
         kept[outside & (kept != NO_FLOW)] = OUTSIDE
-        # The lens puts such a ray nowhere, or back into the picture.
-        kept[np.hypot(x, y) > lens.reach] = NO_FLOW
+        # The lens puts such a ray nowhere, or back into the picture, or nobody knows where: the
+        # polynomial holds where the picture is, and leads thousands of pixels out far beyond.
+        kept[np.hypot(x, y) > min(lens.reach, BEYOND * after.farthest)] = NO_FLOW
         found[kept == NO_FLOW] = 0
         return found, kept
 
@@ -254,4 +257,4 @@ def lens_warp(camera, lens):
             f"at most {MOST_SIDE} a side; give a smaller --width"
         )
     wide = replace(camera, width=width, height=height, cx=float(-left), cy=float(-top))
-    return LensWarp(camera, lens, wide, *image_point(wide, x, y, 1.0))
+    return LensWarp(camera, lens, wide, *image_point(wide, x, y, 1.0), farthest)

@@ -318,10 +318,10 @@ def behind_glass(renderer, camera, state, pane, picture, clear_air=None, seed=0)
     """
     conductor = renderer.conductor
     wide = conductor.wet_scene.frame.camera_in_capture(wide_camera(camera))
-    names = ("depth",) if clear_air is None else ("depth", "clear_air")
+    names = ("drawn_depth",) if clear_air is None else ("drawn_depth", "clear_air")
     picture = np.array(picture)
     seen, report = renderer.draw(wide, state, None, names)
-    seen, depth, config = np.array(seen), report.aovs["depth"], conductor.config
+    seen, depth, config = np.array(seen), report.aovs["drawn_depth"], conductor.config
     end = state.time + config.at(state.time).render.exposure
     field = conductor.weather.field(state.time, end)
     if field is None:

@@ -67,9 +67,9 @@ def mode_picture(
         Along the view axis, infinite for sky.
     """
     wanted = (LAYERS[name],) if name in LAYERS else ("clean",) if name in MAPS else ()
-    names = (*wanted, "depth") if wanted or (with_depth and session.backend != "cpu") else ()
+    names = (*wanted, "drawn_depth") if wanted or (with_depth and session.backend != "cpu") else ()
     picture, report = session.draw(*shot, names, check, simple)
-    depth = report.aovs["depth"] if names else _depth_at_hand(session)
+    depth = report.aovs["drawn_depth"] if names else _depth_at_hand(session)
     if name in LAYERS:
         return layer_picture(LAYERS[name], report.aovs[LAYERS[name]]), depth
     if name in MAPS:

@@ -2,20 +2,23 @@
 
 import json
 import shutil
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
 from rainsim.commands.export import as_square_as
-from rainsim.datasets import export as writing
+from rainsim.datasets import data_files as writing
 from rainsim.io.images import read_image
 from rainsim.render.shutter import moved
 from rainsim.scene.cameras import read_cameras, resize_to, write_transforms
 from rainsim.scene.colmap import read_model
+from rainsim.scene.folder import write_scene
 from rainsim.scene.library import load_scene
 from rainsim.scene.types import Camera
 from rainsim.sensors.lens import Lens
+from scenes import tiny_scene
 
 MAP = ["--spacing", "0.04", "--extent", "1", "--relight", "off"]
 
@@ -157,6 +160,19 @@ def test_folders_of_others_are_left_alone(export, tmp_path):
     assert left["notes.txt"] == b"keep" and not any("25mm" in name for name in left)
 
 
+def test_a_number_of_views_is_no_name(rainsim, tmp_path):
+    """Cameras of captures are often numbered; a comma makes a number a name."""
+    scene = tiny_scene()
+    numbered = [replace(camera, name=str(n)) for n, camera in enumerate(scene.cameras)]
+    write_scene(tmp_path / "numbered", replace(scene, cameras=tuple(numbered)))
+    words = "export", tmp_path / "numbered", *MAP, "--width", "64", "--rain", "0", "--views"
+    for views, names in (("2", ["0.png", "2.png"]), ("2,", ["2.png"])):
+        folder = tmp_path / f"set {views}"
+        done = rainsim(*words, views, "--out", folder)
+        assert done.code == 0, done.err
+        assert sorted(p.name for p in (folder / "clear/images").iterdir()) == names
+
+
 @pytest.fixture
 def path_file(scene_folder, tmp_path):
     """A camera path of three places close to each other."""
@@ -279,6 +295,8 @@ def test_wet_glass_behind_a_lens_and_a_wiper(export, path_file, tmp_path):
         (("--rain", "a"), "--rain is 'a'; it must be"),
         (("--rain", "2000"), "rates from 0 to 1000 mm/h"),
         (("--views", "nobody"), "has no camera 'nobody'"),
+        (("--views", "2,"), "has no camera '2'"),
+        (("--views", "02"), "has no camera '02'"),
         (("--lens", "opencv:1"), "must be 4 or 5 finite numbers"),
         (("--path", "x.json", "--views", "2"), "sequence of its own"),
         (("--views", "view_1,view_1"), "--views names view_1 twice"),

@@ -60,7 +60,7 @@ def test_flow_of_the_sky_is_the_turn_and_what_is_behind_has_none():
     sky = np.full((64, 96), np.inf, np.float32)
     flow, mask = labels.flow_of(sky, CAMERA, turned, sky)
     still, _ = labels.flow_of(sky, CAMERA, replace(CAMERA), sky)
-    assert not still.any()
+    assert np.abs(still).max() < 1e-12
     middle = flow[32, 46]
     np.testing.assert_allclose(middle, [80 * np.tan(0.02), 0], atol=0.02)
     assert (mask[:, :-10] == SEEN).all()

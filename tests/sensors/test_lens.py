@@ -14,7 +14,7 @@ from rainsim.render.labels import NO_FLOW, OUTSIDE, SEEN
 from rainsim.render.shutter import moved
 from rainsim.scene.types import Camera
 from rainsim.scene.view import pixel_rays, slopes
-from rainsim.sensors.lens import WIDEST, Lens, lens_of, lens_warp
+from rainsim.sensors.lens import BEYOND, WIDEST, Lens, lens_of, lens_warp
 from rainsim.sensors.lens_files import lens_named
 
 CAMERA = Camera(120, 80, 90.0, 92.0, 61.0, 38.0, np.eye(4), "a")
@@ -191,7 +191,8 @@ def test_no_flow_leads_past_the_lens():
     assert lens.reach == pytest.approx(1 / 0.9**0.5)
     assert Lens("fisheye", (0.1, 0.0, 0.0, 0.0)).reach == pytest.approx(WIDEST)
     assert Lens("fisheye", (-0.5, 0.0, 0.0, 0.0)).reach == pytest.approx(np.tan((1 / 1.5) ** 0.5))
-    warp = lens_warp(replace(CAMERA, fx=115.0, fy=115.0), lens)
+    warp = lens_warp(replace(CAMERA, fx=107.0, fy=107.0), lens)
+    assert warp.farthest < lens.reach < BEYOND * warp.farthest
     shift = np.zeros((warp.wide.height, warp.wide.width, 2), np.float32)
     shift[..., 0] = 60.0
     flow, mask = warp.flow(shift, np.full(shift.shape[:2], OUTSIDE, np.uint16))
@@ -200,3 +201,24 @@ def test_no_flow_leads_past_the_lens():
     assert 0.03 < past.mean() < 0.6
     assert (mask[past] == NO_FLOW).all() and not flow[past].any()
     assert (mask[~past] == OUTSIDE).all() and np.abs(flow[~past]).max() > 20
+
+
+@pytest.mark.parametrize("lens", [*LENSES[1:], Lens("opencv", (0.0, 0.1, 0.0, 0.0))])
+def test_flow_leads_only_so_far_out_of_the_picture(lens):
+    """A polynomial that never turns back is not trusted far outside the picture, nearby it is."""
+    assert lens.reach == pytest.approx(WIDEST)
+    warp = lens_warp(CAMERA, lens)
+    rays = slopes(warp.wide, warp.u, warp.v)
+    assert warp.farthest == pytest.approx(np.hypot(*rays).max())
+    row, column = np.mgrid[: warp.wide.height, : warp.wide.width] + 0.5
+    y = slopes(warp.wide, column, row)[1]
+    shift = np.zeros((*y.shape, 2), np.float32)
+    for share, known in ((BEYOND - 0.02, True), (BEYOND + 0.02, False)):
+        # All go to the right, to one distance off the axis.
+        x = np.sqrt((share * warp.farthest) ** 2 - y**2)
+        shift[..., 0] = x * warp.wide.fx + warp.wide.cx - column
+        flow, mask = warp.flow(shift, np.full(shift.shape[:2], OUTSIDE, np.uint16))
+        assert (mask == (OUTSIDE if known else NO_FLOW)).all()
+        assert (np.abs(flow[..., 0]).min() > 5) == known and flow.any() == known
+    inside, mask = warp.flow(np.zeros_like(shift), np.full(shift.shape[:2], SEEN, np.uint16))
+    assert (mask == SEEN).all() and np.abs(inside).max() < 1e-3

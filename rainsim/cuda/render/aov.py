@@ -8,6 +8,7 @@ costs what it costs on the CPU, less the splatting.
 from __future__ import annotations
 
 from rainsim.cuda.raster import Rasterizer
+from rainsim.render.layers import buffers_of
 from rainsim.render.passes import Passes
 from rainsim.shading.composite import RainLight
 
@@ -50,13 +51,13 @@ class AovReader:
         inputs.put("drips", (state.drips, state.drip_id))
         inputs.put("throws", (state.throws, state.throw_id))
         if capture.paged is not None:  # which draws for the host with a rasterizer of its own
-            inputs.make(names, self._passes.work)
+            inputs.make(buffers_of(names), self._passes.work)
             return
         if self._rasterizer is None:
             own = frame.rasterizer
             self._rasterizer = Rasterizer(own.splats, own.stream, first_room=own.room.entries)
         capture.rasterizer = self._rasterizer
         try:
-            inputs.make(names, self._passes.work)
+            inputs.make(buffers_of(names), self._passes.work)
         finally:
             capture.rasterizer = frame.rasterizer
