@@ -59,11 +59,24 @@ def share_wet(depth, mirrors, wet_out):
 
 @cpu_kernel
 def spread_rings(wet, reach, rings_out):
-    """Write the amplitudes of `puddle_rings` from the shares of `share_wet`."""
-    rows, columns = wet.shape
-    for j in prange(rows):
+    """Write the amplitudes of `puddle_rings` from the shares of `share_wet`.
+
+    Twin of `ring_amplitude`: the same sums in the same order, but a row at a time, in vectors.
+    """
+    (rows, columns), side = wet.shape, reach.shape[0]
+    around = side // 2
+    for row in prange(rows):
+        j = np.int64(row)
+        line, energy = np.zeros(columns + side, np.float32), np.zeros(columns, np.float32)
+        for m in range(max(j - around, 0), min(j + around + 1, rows)):
+            for i in range(columns):
+                line[i + around] = wet[m, i]
+            for k in range(side):
+                share = reach[m - j + around, k]
+                for i in range(columns):
+                    energy[i] += share * line[i + k]
         for i in range(columns):
-            rings_out[j, i] = ring_amplitude(wet, reach, np.int64(j), i)
+            rings_out[j, i] = min(math.sqrt(energy[i]), ONE)
 
 
 @inlined_function

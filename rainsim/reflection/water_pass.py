@@ -86,6 +86,8 @@ class WaterTables:
         See `ripples.block_reach`, of blocks of the map's cells.
     relief : ndarray of shape (ny, nx), float32 [m]
         See `water_surface.fine_relief`.
+    mirrors : ndarray of shape (ny, nx), bool
+        Of the terrain, looked up once.
     top_water : TopWater
     tops : TopMaps
         Dry.
@@ -95,6 +97,7 @@ class WaterTables:
         self.terrain = terrain
         self.block_reach = block_reach(BLOCK * terrain.grid.spacing, *ring_reach)
         self.relief, self.top_water = fine_relief(terrain), TopWater(terrain)
+        self.mirrors = terrain.mirrors
         self.tops = top_maps(terrain, self.top_water)
 
     @property
@@ -183,10 +186,8 @@ class March(NamedTuple):
 def draw_surface(tables, depth, rings):
     """Return the `DrawnWater` of a depth of water and amplitudes of rings, (ny, nx) each."""
     terrain = tables.terrain
-    surface, drawn_depth = water_surface(terrain, depth, tables.relief, terrain.mirrors)
-    shores = puddle_rings(depth, terrain.mirrors, tables.block_reach)
-    wet = drawn_depth > 0
-    highest = np.float32(surface[wet].max()) if wet.any() else None
+    surface, drawn_depth, highest = water_surface(terrain, depth, tables.relief, tables.mirrors)
+    shores = puddle_rings(depth, tables.mirrors, tables.block_reach)
     return DrawnWater(WaterMap(surface, drawn_depth, rings, *tables.place, shores), highest)
 
 

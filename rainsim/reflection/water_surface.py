@@ -10,15 +10,18 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, device_function, prange, thorough_kernel
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, thorough_kernel
 
 GRASS_HEIGHT = 0.05  # m of water that closes over a lawn
+HIGH_GRASS = np.float32(GRASS_HEIGHT)
 WET_CELL = np.float32(3e-4)  # m: cells with more carry the surface; thinner water only darkens
 RELIEF = 0.5e-3  # m, standard deviation of the roughness that a capture does not show; by eye
 RELIEF_WIDTHS = (0.02, 0.05, 0.12)  # m
 SURFACE_REACH = 2  # cells by which the surface is continued into the dry, for soft rims
 LEAST_WEIGHT = np.float32(1e-4)  # of wet cells around, below which there is no surface
 BLOCK = 8  # cells of a block, of which the mean level is kept
+SPAN = 32  # cells of a row that take no means together; at least as many as a mean reaches
+INFINITE = np.float32(np.inf)
 WIDE_WATER = np.ones((2, 2), np.float32)  # no shores
 
 
@@ -69,7 +72,7 @@ _reliefs = weakref.WeakValueDictionary()  # windows of one size share theirs whi
 
 
 def water_surface(terrain, depth, relief, mirrors):
-    """Return the height of the water surface and the water's depth, both float32 (ny, nx) [m].
+    """Return the water surface, the water's depth and the highest water [m].
 
     The solver's cells are wet or dry; a picture needs a surface that goes on below the ground at
     the rim, so that depth falls to zero smoothly: the surface is the Gaussian mean over the wet
@@ -84,19 +87,27 @@ def water_surface(terrain, depth, relief, mirrors):
         See `fine_relief`.
     mirrors : ndarray of shape (ny, nx), bool
         Cells on which even a thin film of water shows as a surface: no grass stands out of it.
+
+    Returns
+    -------
+    surface, over : ndarray of shape (ny, nx), float32 [m]
+        Height of the surface in the ground frame, and the depth of water that pictures show.
+    highest : float32 [m] or None
+        Of the surface where there is water; None if there is none.
     """
-    surface, over = np.empty_like(terrain.bed), np.empty_like(terrain.bed)
-    smooth = mirrors | (depth > GRASS_HEIGHT)
     depth = np.asarray(depth, np.float32)
-    far = _far_surface(terrain.bed, depth, smooth)
+    far = _far_surface(terrain.bed, depth, mirrors)
     if far is None:
-        return terrain.bed, np.zeros_like(terrain.bed)
-    lift = relief + np.float32(GRASS_HEIGHT) * ~mirrors  # depth counts from the tips of the grass
-    _continue(terrain.bed, depth, smooth, lift, WIDE, NARROW, far, surface, over)
-    return surface, over
+        return terrain.bed, np.zeros_like(terrain.bed), None
+    surface, over = np.empty_like(terrain.bed), np.empty_like(terrain.bed)
+    highest = np.empty(len(depth), np.float32)
+    given = terrain.bed, depth, mirrors, relief, WIDE, NARROW, far
+    _continue(*given, surface, over, highest)
+    highest = highest.max()
+    return surface, over, highest if highest > -np.inf else None
 
 
-def _far_surface(bed, depth, smooth):
+def _far_surface(bed, depth, mirrors):
     """Return the mean water level of each block of BLOCK x BLOCK cells, or of the nearest block.
 
     None if nothing is wet.
@@ -104,7 +115,7 @@ def _far_surface(bed, depth, smooth):
     ny, nx = bed.shape
     count = np.zeros((-(-ny // BLOCK), -(-nx // BLOCK)), np.float32)
     total = np.zeros_like(count)
-    _sum_blocks(bed, depth, smooth, count, total)
+    _sum_blocks(bed, depth, mirrors, count, total)
     empty = count == 0
     if empty.all():
         return None
@@ -113,31 +124,37 @@ def _far_surface(bed, depth, smooth):
 
 
 @cpu_kernel
-def _sum_blocks(bed, depth, smooth, count_out, total_out):
-    """Count the wet cells in the mask `smooth` of each block, and sum their water levels."""
+def _sum_blocks(bed, depth, mirrors, count_out, total_out):
+    """Count the cells of each block that carry a surface, and sum their water levels."""
     ny, nx = bed.shape
     rows = len(count_out)
     for m in prange(rows):
         for j in range(m * BLOCK, min(m * BLOCK + BLOCK, ny)):
             for i in range(nx):
-                if depth[j, i] > WET_CELL and smooth[j, i]:
+                if depth[j, i] > WET_CELL and is_smooth(depth[j, i], mirrors[j, i]):
                     count_out[m, i // BLOCK] += ONE
                     total_out[m, i // BLOCK] += bed[j, i] + depth[j, i]
 
 
-@thorough_kernel
-def _continue(bed, depth, smooth, relief, wide, narrow, far, surface_out, over_out):
-    """Write the two results of `water_surface`: the height of the surface and the water's depth.
+@inlined_function
+def is_smooth(depth, mirrors):
+    """Tell whether water of a depth [m] can show as a surface: no grass stands out of it."""
+    return mirrors or depth > HIGH_GRASS
 
-    Both are Gaussian means over cells, taken along rows first, then along columns.
+
+@thorough_kernel
+def _continue(bed, depth, mirrors, relief, wide, narrow, far, surface_out, over_out, highest_out):
+    """Write the results of `water_surface`: heights of the surface, depths, the highest water.
+
+    Surface and depth are Gaussian means, taken along rows first, then along columns. Most of a map
+    is dry: each row is cut into spans of SPAN cells, and those without water near take no means.
 
     Parameters
     ----------
     bed, depth : ndarray of shape (ny, nx), float32 [m]
-    smooth : ndarray of shape (ny, nx), bool
-        Cells on which water can show as a surface: no grass stands out of it.
+    mirrors : ndarray of shape (ny, nx), bool
     relief : ndarray of shape (ny, nx), float32 [m]
-        Height above the bed from which the water's depth counts.
+        Height above the bed from which the water's depth counts; on grass from its tips on.
     wide, narrow : ndarray of shape (13,) and (7,), float32
         Weights of the Gaussians that smooth the surface and the depth.
     far : ndarray of shape (ceil(ny / BLOCK), ceil(nx / BLOCK)), float32 [m]
@@ -145,57 +162,125 @@ def _continue(bed, depth, smooth, relief, wide, narrow, far, surface_out, over_o
     surface_out, over_out : ndarray of shape (ny, nx), float32 [m]
         Height of the surface in the ground frame; its smoothed height above bed and relief, the
         water's depth, 0 away from water.
+    highest_out : ndarray of shape (ny,), float32 [m]
+        Of the surface in each row where there is water; -inf where there is none.
     """
     ny, nx = bed.shape
-    weight, height = np.empty((ny, nx), np.float32), np.empty((ny, nx), np.float32)
+    spans = -(-nx // SPAN)
     wet = np.empty((ny, nx), np.bool_)
-    any_wet = np.zeros(ny, np.bool_)
+    # Sums along rows, weight and level of each cell, and which spans have them; then the depth
+    # before it is smoothed.
+    sums = np.empty((ny, 2 * nx), np.float32)
+    reached = np.zeros((ny, spans), np.bool_)
+    rough, is_rough = np.empty((ny, nx), np.float32), np.zeros((ny, spans), np.bool_)
     base = bed[ny // 2, nx // 2]  # heights are taken from here: small numbers, small rounding
     for j in prange(ny):
-        for i in range(nx):
-            wet[j, i] = depth[j, i] > WET_CELL and smooth[j, i]
-            any_wet[j] |= wet[j, i]
-        weight[j] = ZERO
-        height[j] = ZERO
-        if any_wet[j]:
-            for i in range(nx):
-                if wet[j, i]:
-                    eta = bed[j, i] + depth[j, i] - base
-                    for k in range(max(i - 6, 0), min(i + 7, nx)):
-                        weight[j, k] += wide[i - k + 6]
-                        height[j, k] += wide[i - k + 6] * eta
-    rough, any_rough = np.zeros((ny, nx), np.float32), np.zeros(ny, np.bool_)
-    for j in prange(ny):
-        continue_far(far, np.int64(j), surface_out[j])
-        total, mean = np.zeros(nx, np.float32), np.zeros(nx, np.float32)
-        near = False
-        for k in range(max(j - 6, 0), min(j + 7, ny)):
-            if any_wet[k]:
-                near = True
-                w = wide[k - j + 6]
-                for i in range(nx):
-                    total[i] += w * weight[k, i]
-                    mean[i] += w * height[k, i]
-        if near:
-            for i in range(nx):
-                if total[i] > LEAST_WEIGHT:
-                    surface_out[j, i] = base + mean[i] / total[i]
-                    if smooth[j, i] and _wet_near(wet, j, i):
-                        over = surface_out[j, i] - bed[j, i] - relief[j, i]
-                        rough[j, i] = max(over, ZERO)
-                        any_rough[j] |= over > ZERO
-    for j in prange(ny):
-        over = over_out[j]
-        over[:] = ZERO
-        first, end = max(j - 3, 0), min(j + 4, ny)
-        if any_rough[first:end].any():
-            row = np.zeros(nx, np.float32)
-            for k in range(first, end):
-                for i in range(nx):
-                    row[i] += narrow[k - j + 3] * rough[k, i]
-            for m in range(7):
-                for i in range(max(3 - m, 0), min(nx, nx + 3 - m)):
-                    over[i] += narrow[m] * row[i + m - 3]
+        find_wet(depth[j], mirrors[j], wet[j])
+        mark_spans(wet[j], reached[j])
+        sum_along_row(bed[j], depth[j], wet[j], base, wide, reached[j], sums[j])
+    for row in prange(ny):
+        j = np.int64(row)
+        continue_far(far, j, surface_out[j])
+        total = np.empty(2 * SPAN, np.float32)
+        for m in range(spans):
+            left, right = m * SPAN, min(m * SPAN + SPAN, nx)
+            near = False
+            for k in range(max(j - 6, 0), min(j + 7, ny)):
+                if reached[k, m]:
+                    if not near:
+                        total[:], near = ZERO, True
+                    add_scaled(wide[k - j + 6], sums[k, 2 * left : 2 * right], total)
+            if near:
+                rough[j, left:right] = ZERO
+                for i in range(left, right):
+                    weight, level = total[2 * (i - left)], total[2 * (i - left) + 1]
+                    if weight > LEAST_WEIGHT:
+                        surface_out[j, i] = base + level / weight
+                        if is_smooth(depth[j, i], mirrors[j, i]) and _wet_near(wet, j, i):
+                            lift = relief[j, i] if mirrors[j, i] else relief[j, i] + HIGH_GRASS
+                            over = surface_out[j, i] - bed[j, i] - lift
+                            rough[j, i] = max(over, ZERO)
+                            is_rough[j, m] |= over > ZERO
+    for row in prange(ny):
+        j = np.int64(row)
+        highest_out[j] = soften_row(rough, is_rough, narrow, j, surface_out[j], over_out[j])
+
+
+@inlined_function
+def find_wet(depth, mirrors, wet_out):
+    """Mark the cells of a row that carry a water surface; all in vectors."""
+    for i in range(len(wet_out)):
+        wet_out[i] = (depth[i] > WET_CELL) & (mirrors[i] | (depth[i] > HIGH_GRASS))
+
+
+@inlined_function
+def add_scaled(gain, numbers, sum_out):
+    """Add `gain` times some numbers to as many at the start of the sums, in vectors."""
+    for i in range(len(numbers)):
+        sum_out[i] += gain * numbers[i]
+
+
+@inlined_function
+def mark_spans(wet, reached_out):
+    """Mark the spans of a row that hold a wet cell, and those beside them."""
+    nx, spans = len(wet), len(reached_out)
+    for m in range(spans):
+        found = False
+        for i in range(m * SPAN, min(m * SPAN + SPAN, nx)):
+            found |= wet[i]
+        if found:
+            for k in range(max(m - 1, 0), min(m + 2, spans)):
+                reached_out[k] = True
+
+
+@device_function
+def sum_along_row(bed, depth, wet, base, wide, reached, sums_out):
+    """Write Gaussian sums of a row's wet cells, 1 and the level over `base` [m] of each by turns.
+
+    Only in the spans that are `reached`.
+    """
+    nx, reach = len(wet), len(wide) // 2
+    given = np.zeros(2 * (nx + 2 * reach), np.float32)
+    for m in range(len(reached)):
+        if reached[m]:
+            for i in range(m * SPAN, min(m * SPAN + SPAN, nx)):
+                if wet[i]:
+                    given[2 * (i + reach)] = ONE
+                    given[2 * (i + reach) + 1] = bed[i] + depth[i] - base
+    for m in range(len(reached)):
+        if reached[m]:
+            left, right = 2 * m * SPAN, 2 * min(m * SPAN + SPAN, nx)
+            sums_out[left:right] = ZERO
+            for k in range(2 * reach + 1):
+                add_scaled(wide[k], given[left + 2 * k : right + 2 * k], sums_out[left:right])
+
+
+@device_function
+def soften_row(rough, is_rough, narrow, j, surface, over_out):
+    """Write the smoothed depth of row j; return its highest water [m], -inf if it has none.
+
+    `rough` (ny, nx) [m] is read in the spans of SPAN cells that `is_rough` marks.
+    """
+    ny, nx = rough.shape
+    spans = is_rough.shape[1]
+    line, lies = np.zeros(nx + 6, np.float32), np.zeros(spans + 2, np.bool_)
+    for m in range(spans):
+        for k in range(max(j - 3, 0), min(j + 4, ny)):
+            if is_rough[k, m]:
+                lies[m + 1] = True
+                left, right = m * SPAN, min(m * SPAN + SPAN, nx)
+                add_scaled(narrow[k - j + 3], rough[k, left:right], line[left + 3 : right + 3])
+    over_out[:] = ZERO
+    highest = -INFINITE
+    for m in range(spans):
+        if lies[m] or lies[m + 1] or lies[m + 2]:
+            left, right = m * SPAN, min(m * SPAN + SPAN, nx)
+            for k in range(7):
+                add_scaled(narrow[k], line[left + k : right + k], over_out[left:right])
+            for i in range(left, right):
+                if over_out[i] > ZERO:
+                    highest = max(highest, surface[i])
+    return highest
 
 
 @device_function
@@ -210,11 +295,13 @@ def continue_far(far, j, surface_out):
     for i in range(columns):
         line[i + 1] = far[upper, i] * (ONE - down) + far[lower, i] * down
     line[0], line[columns + 1] = line[1], line[columns]
+    cells = np.empty((columns + 1) * BLOCK, np.float32)  # from half a block before the map on
+    for block in range(columns + 1):
+        for k in range(BLOCK):
+            across = (np.float32(k) + HALF) / np.float32(BLOCK)
+            cells[block * BLOCK + k] = line[block] * (ONE - across) + line[block + 1] * across
     for i in range(len(surface_out)):
-        # Cell i lies between the middles of two blocks; a block of its own stands at either end.
-        block = (i + BLOCK // 2) // BLOCK
-        across = (np.float32((i + BLOCK // 2) % BLOCK) + HALF) / np.float32(BLOCK)
-        surface_out[i] = line[block] * (ONE - across) + line[block + 1] * across
+        surface_out[i] = cells[i + BLOCK // 2]
 
 
 @device_function
