@@ -12,9 +12,8 @@ import numpy as np
 
 from rainsim.constants import ONE, ZERO
 from rainsim.jit import cpu_kernel, inlined_function, prange
-from rainsim.reflection.water_surface import BLOCK, GRASS_HEIGHT
+from rainsim.reflection.water_surface import BLOCK, is_smooth
 
-HIGH_GRASS = np.float32(GRASS_HEIGHT)
 RING_CELL = np.float32(1e-3)  # m: cells with more water carry rings; thinner water damps them
 CELLS = np.float32(BLOCK * BLOCK)
 
@@ -87,7 +86,7 @@ def wet_share(depth, mirrors, row, column):
     for j in range(row * BLOCK, min(row * BLOCK + BLOCK, ny)):
         for i in range(column * BLOCK, min(column * BLOCK + BLOCK, nx)):
             d = depth[j, i]
-            if d > RING_CELL and (mirrors[j, i] or d > HIGH_GRASS):
+            if d > RING_CELL and is_smooth(d, mirrors[j, i]):
                 count += ONE
     return count / CELLS
 

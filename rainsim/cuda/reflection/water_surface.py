@@ -12,12 +12,13 @@ from rainsim.numerics.interpolation import bilinear
 from rainsim.reflection.puddle_rings import block_shape
 from rainsim.reflection.water_surface import (
     BLOCK,
-    GRASS_HEIGHT,
+    HIGH_GRASS,
     LEAST_WEIGHT,
     NARROW,
     SURFACE_REACH,
     WET_CELL,
     WIDE,
+    is_smooth,
 )
 
 THREADS = SIDE, HIGH = 32, 8
@@ -26,7 +27,6 @@ LINE = 128  # threads that look along a row or column of blocks of cells
 MOST_BLOCKS = 4096  # in a row or column
 WIDE_REACH, SOFT_REACH = len(WIDE) // 2, len(NARROW) // 2
 SPREAD_SIDE, SOFT_SIDE = SIDE + 2 * WIDE_REACH, SIDE + 2 * SOFT_REACH
-HIGH_GRASS = np.float32(GRASS_HEIGHT)
 CELLS = np.float32(BLOCK)
 DRY = np.float32(-1e6)  # m, the level of a cell without a surface
 NO_HEIGHT = np.float32(-1e9)  # m, of the highest water where there is none
@@ -37,7 +37,7 @@ FAR = np.int64(1 << 40)
 def level_of(bed, depth, mirrors, j, i, base):
     """Return the level of a cell's water over `base` [m]; DRY if it carries no water surface."""
     d = depth[j, i]
-    if d > WET_CELL and (mirrors[j, i] or d > HIGH_GRASS):
+    if d > WET_CELL and is_smooth(d, mirrors[j, i]):
         return bed[j, i] - base + d
     return DRY
 
@@ -183,7 +183,7 @@ def spread(bed, depth, mirrors, relief, wide, far, surface_out, rough_out):
         rough = ZERO
         if total > LEAST_WEIGHT:
             surface = base + mean / total
-            if mirrors[j, i] or depth[j, i] > HIGH_GRASS:
+            if is_smooth(depth[j, i], mirrors[j, i]):
                 # Depth counts from the tips of the grass.
                 lift = relief[j, i] + (ZERO if mirrors[j, i] else HIGH_GRASS)
                 if wet_near(eta, row + WIDE_REACH, x + WIDE_REACH):
