@@ -1,45 +1,46 @@
 """Recorded figures of other programs: points of the charts of water and of splatting.
 
-Hydraulics codes on the cases of `rainsim bench water`: one run of each code on two shared cores of
-a server processor, one thread; seconds are processor time, errors relative L1, as in the bench.
-They are older than the table of docs/compared.md, whose scripts are in examples/peers.
-Cases that a code did not finish are left out, and so is rain on a slope, whose friction the codes
-define in other ways.
+Hydraulics codes on the cases of `rainsim bench water`, run by examples/peers on 2026-11-27: ANUGA
+4.1.0, PyClaw 5.14.0 with GeoClaw's solver, Landlab 2.11.0 and Itzi 25.8, on two shared cores of a
+server processor, one thread. Seconds are of processor time, the least of two runs, errors relative
+L1, as in the bench. Cases that a code did not finish are left out, and so is rain on a slope, whose
+friction the codes define in other ways. The table of docs/compared.md has the finest sizes.
 """
 
-SECONDS_AND_ERRORS = {  # by case and code, coarse grids first; sizes are those of the bench or half
+SECONDS_AND_ERRORS = {  # by case and code: seconds and error, coarse grids first
     "stoker": {
-        "ANUGA DE1": [(0.117, 0.00359), (0.449, 0.00178), (1.55, 0.00105)],
-        "ANUGA DE0": [(0.0602, 0.00594), (0.173, 0.00323), (0.803, 0.00191)],
-        "PyClaw": [(0.00959, 0.0106), (0.034, 0.00556), (0.144, 0.00279), (0.582, 0.00166)],
-        "Landlab": [(0.00487, 0.0605), (0.0104, 0.0615), (0.0277, 0.0624), (0.101, 0.0637)],
-        "Itzi": [(0.000793, 0.0638), (0.00267, 0.0644), (0.0098, 0.061), (0.0391, 0.0596)],
+        "ANUGA DE1": [(0.07, 0.0036), (0.276, 0.0018), (1.064, 0.0011)],
+        "ANUGA DE0": [(0.038, 0.0059), (0.155, 0.0032), (0.58, 0.0019)],
+        "PyClaw": [(0.005, 0.011), (0.016, 0.0069), (0.058, 0.0031)],
+        "Landlab": [(0.004, 0.059), (0.009, 0.0607), (0.023, 0.062)],
+        "Itzi": [(0.001, 0.0679), (0.004, 0.0635), (0.008, 0.0596)],
     },
     "ritter": {
-        "ANUGA DE1": [(0.103, 0.00483), (0.452, 0.0022), (1.63, 0.00116)],
-        "ANUGA DE0": [(0.0674, 0.00857), (0.224, 0.00475), (0.904, 0.00272)],
-        "PyClaw": [(0.00913, 0.0177), (0.0366, 0.00926), (0.158, 0.00468), (0.628, 0.00261)],
-        "Landlab": [(0.00587, 0.108), (0.0141, 0.107), (0.0291, 0.105), (0.0916, 0.103)],
-        "Itzi": [(0.000695, 0.119), (0.00215, 0.115), (0.00782, 0.109), (0.0293, 0.105)],
+        "ANUGA DE1": [(0.072, 0.0055), (0.296, 0.0032), (1.294, 0.0026)],
+        "ANUGA DE0": [(0.043, 0.0086), (0.163, 0.0048), (0.723, 0.0027)],
+        "PyClaw": [(0.005, 0.0198), (0.015, 0.0107), (0.059, 0.0065)],
+        "Landlab": [(0.004, 0.1043), (0.009, 0.1034), (0.02, 0.1032)],
+        "Itzi": [(0.001, 0.1265), (0.002, 0.1149), (0.007, 0.1092)],
     },
     "bowl planar": {
-        "ANUGA DE1": [(2.27, 0.033)],
-        "ANUGA DE0": [(1.59, 0.0623)],
-        "Landlab": [(0.0525, 0.902), (0.21, 0.994)],
+        "ANUGA DE1": [(2.196, 0.0314), (16.437, 0.0154)],
+        "ANUGA DE0": [(1.1, 0.0602), (10.199, 0.03)],
+        "Landlab": [(0.036, 0.8667), (0.17, 0.9567)],
+        "Itzi": [(0.016, 1.3538), (0.091, 1.5406)],
     },
     "bowl radial": {
-        "ANUGA DE1": [(0.674, 0.0218)],
-        "ANUGA DE0": [(0.374, 0.0261), (3.29, 0.0108)],
-        "PyClaw": [(0.0908, 0.0161)],
-        "Landlab": [(0.0268, 0.125), (0.0956, 0.131), (0.613, 0.144)],
-        "Itzi": [(0.00618, 0.13), (0.0464, 0.136), (0.373, 0.149)],
+        "ANUGA DE1": [(0.532, 0.0218), (4.326, 0.0068)],
+        "ANUGA DE0": [(0.31, 0.0261), (2.45, 0.0108)],
+        "PyClaw": [(0.067, 0.0204)],
+        "Landlab": [(0.018, 0.1215), (0.088, 0.1239)],
+        "Itzi": [(0.006, 0.1325), (0.044, 0.1365)],
     },
     "ripple": {
-        "ANUGA DE1": [(1.71, 0.304)],
-        "ANUGA DE0": [(0.877, 0.235)],
-        "PyClaw": [(0.133, 0.325), (0.875, 0.21)],
-        "Landlab": [(0.0286, 0.552), (0.205, 0.38), (1.28, 0.236)],
-        "Itzi": [(0.0147, 0.434), (0.126, 0.217), (1.11, 0.105)],
+        "ANUGA DE1": [(1.236, 0.294), (9.646, 0.1183)],
+        "ANUGA DE0": [(0.666, 0.2203), (5.523, 0.1003)],
+        "PyClaw": [(0.048, 0.219), (0.319, 0.0625)],
+        "Landlab": [(0.029, 0.6173), (0.149, 0.4371)],
+        "Itzi": [(0.012, 0.3277), (0.108, 0.3511)],
     },
 }
 

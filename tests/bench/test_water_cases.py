@@ -2,12 +2,14 @@
 
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rainsim.bench import cases
 from rainsim.bench.chart import front
+from rainsim.bench.peers import SECONDS_AND_ERRORS
 from rainsim.bench.stress import dam
 from rainsim.bench.water import copy, measure, memory_limit, table
 from rainsim.errors import ParameterError
@@ -180,3 +182,22 @@ def test_the_chart_has_plain_ticks_other_codes_and_the_front(monkeypatch, tmp_pa
         assert {"auto (default)", "lean", "front"} <= names
         assert set(peers.SECONDS_AND_ERRORS.get(case, {})) <= names
     assert chart.front([(1, 3), (2, 4), (3, 1)]) == [(1, 3), (3, 1)]
+
+
+def test_the_table_of_other_codes_has_the_points_of_the_chart():
+    """The finest of each in docs/compared.md; a bowl that a code did not finish fails."""
+    names = {
+        "ANUGA, DE1": "ANUGA DE1", "ANUGA, DE0": "ANUGA DE0", "Itzi": "Itzi",
+        "PyClaw with GeoClaw's solver": "PyClaw", "Landlab OverlandFlow": "Landlab",
+    }  # fmt: skip
+    page = (Path(__file__).parents[2] / "docs/compared.md").read_text(encoding="utf-8")
+    rows = [[cell.strip(" *") for cell in line.split("|")[1:-1]] for line in page.splitlines()]
+    found = {names[row[0]]: row[1:] for row in rows if row and row[0] in names}
+    assert set(found) == set(names.values())
+    for code, cells in found.items():
+        for cell, points in zip(cells, SECONDS_AND_ERRORS.values(), strict=True):
+            if cell == "fails":
+                assert code == "PyClaw" and len(points.get(code, ())) < 2
+                continue
+            error, seconds = (float(number.strip(" *")) for number in cell.split("/"))
+            assert (seconds, error) == pytest.approx(points[code][-1], rel=0.07), (code, cell)
