@@ -86,14 +86,14 @@ def drop_flow(rain_alpha, depth, ground_camera, next_ground_camera, time, render
 
 
 def rain_depth(
-    rain_alpha, splash_alpha, depth, ground_camera, ground_camera_end, time, render, field, drips,
-    throws,
+    rain_alpha, splash_alpha, depth, surface_depth, ground_camera, ground_camera_end, time, render,
+    field, drips, throws,
 ):  # fmt: skip
     """Return the depth of drops, splashes and spray [m], infinite where there are none.
 
-    The mean by the light that they replace, along the view axis; splashes count at the depth of the
-    surface behind them. A pixel that a drop touches only with its edge takes the depth of the
-    nearest one whose middle is known.
+    The mean by the light that they replace, along the view axis, at most that of the surface behind
+    them, which splashes count at. A pixel that a drop touches only with its edge takes the depth of
+    the nearest one whose middle is known.
     """
     lines, clouds = _falling(ground_camera, time, render, field, drips, throws)
     cameras = ground_camera, ground_camera_end
@@ -102,12 +102,12 @@ def rain_depth(
     splashes[~np.isfinite(depth.ravel())] = 0
     weight += splashes
     total += np.where(splashes > 0, depth.ravel(), 0) * splashes
-    return _mean(weight, total, (rain_alpha > 0) | (splash_alpha > 0), depth)
+    return _mean(weight, total, (rain_alpha > 0) | (splash_alpha > 0), surface_depth)
 
 
 def element_depths(
-    rain_alpha, near_alpha, spray_alpha, depth, ground_camera, ground_camera_end, time, render,
-    field, drips, throws,
+    rain_alpha, near_alpha, spray_alpha, depth, surface_depth, ground_camera, ground_camera_end,
+    time, render, field, drips, throws,
 ):  # fmt: skip
     """Return `rain_depth` of near drops alone, of all other drops, and of spray."""
     (spray, falling, dripping), clouds = _falling(ground_camera, time, render, field, drips, throws)
@@ -117,9 +117,9 @@ def element_depths(
     far = _gathered(falling, None, *rest, nearest=NEAR_DROPS)
     dripped = _gathered(dripping, None, *rest)
     return (
-        _mean(*_gathered(falling, None, *rest, farthest=NEAR_DROPS), near_alpha > 0, depth),
-        _mean(far[0] + dripped[0], far[1] + dripped[1], 1 - rain_alpha < past_both, depth),
-        _mean(*_gathered(spray, clouds, *rest), spray_alpha > 0, depth),
+        _mean(*_gathered(falling, None, *rest, farthest=NEAR_DROPS), near_alpha > 0, surface_depth),
+        _mean(far[0] + dripped[0], far[1] + dripped[1], 1 - rain_alpha < past_both, surface_depth),
+        _mean(*_gathered(spray, clouds, *rest), spray_alpha > 0, surface_depth),
     )
 
 
@@ -167,7 +167,10 @@ def _gathered(
 
 
 def _mean(weight, total, shows, depth):
-    """Return the mean depth of each pixel [m], infinite but for those that show something."""
+    """Return the mean depth of each pixel [m], infinite but for those that show something.
+
+    It is at most `depth`, of the surfaces.
+    """
     known = (weight > 0).reshape(depth.shape)
     out = np.full(depth.shape, np.inf, np.float32)
     if known.any():
