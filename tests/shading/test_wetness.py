@@ -1,9 +1,13 @@
 """Wetness: films fill first and dry first, classes by their storage and pores."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from rainsim.config.settings import Config
+from rainsim.io.states import NO_TRACKS
+from rainsim.render.wet_ground import WetGround
 from rainsim.shading import wetness
 from rainsim.simulation import initial_water
 from rainsim.terrain import extract_terrain
@@ -103,3 +107,30 @@ def test_tyres_thin_the_film_alone_and_only_where_they_rolled(rows):
     np.testing.assert_array_equal(ground, expected)
     assert (changed.start, changed.stop) == ((rows[0], rows[-1] + 1) if rows else (0, 0))
     assert (expected != before).any() == bool(rows)
+
+
+def test_tracks_of_each_time_lie_on_the_untouched_map_and_the_last_map_stays(monkeypatch):
+    rng = np.random.default_rng(2)
+    untouched = rng.random((9, 5, 4)).astype(np.float32)
+    before, film = untouched.copy(), wetness.Wetness._fields.index("film")
+    monkeypatch.setattr(wetness, "ground_wetness", lambda *_: untouched)
+    ground = WetGround(SimpleNamespace(grassy=np.zeros((9, 5), bool)), None)
+    ground.wet(None)
+    assert ground.map is untouched
+    last = None
+    for first in (0, 3, 6, 1, 8):
+        tracks = np.full((9, 5), 255, np.uint8)
+        tracks[first : first + 2] = rng.integers(0, 200, tracks[first : first + 2].shape)
+        kept = None if last is None else last.copy()
+        assert ground.take_tracks(tracks) and not ground.take_tracks(tracks.copy())
+        wanted = before.copy()
+        wanted[..., film] *= tracks / np.float32(255)
+        np.testing.assert_allclose(ground.map, wanted, rtol=1e-6)
+        rows = ground.tracked.rows
+        assert (rows.start, rows.stop) == (first, min(first + 2, 9))
+        if last is not None:
+            assert last is not ground.map
+            np.testing.assert_array_equal(last, kept)
+        last = ground.map
+    np.testing.assert_array_equal(untouched, before)
+    assert ground.take_tracks(NO_TRACKS) and ground.map is untouched
