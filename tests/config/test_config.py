@@ -5,7 +5,7 @@ import math
 import re
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rainsim.config.settings import HUMAN_KEYS, MM_PER_HOUR, Config, preset_names, preset_text
@@ -181,6 +181,7 @@ def test_keyframes_that_are_none_are_refused(frames):
         Config().replace(keyframes=frames).check()
 
 
+@settings(deadline=None)  # machines are loaded at times
 @given(
     rate=st.floats(0, 1e-4),
     past=st.floats(0, 0.5),
