@@ -21,7 +21,12 @@ else:
     _NO_TIMES = driver.CUevent_flags.CU_EVENT_DISABLE_TIMING
 
 
-ALIGN = 16  # bytes
+_ALIGN = 16  # bytes
+
+
+def aligned(count):
+    """Return the bytes that `count` of them take up where arrays lie one after another."""
+    return -(-count // _ALIGN) * _ALIGN
 
 
 def checked(result):
@@ -148,14 +153,14 @@ class Staging:
             array.copy_to_device(values)
             return
         if self._used + values.nbytes > len(self._bytes):
-            (self._stream or cuda.default_stream()).synchronize()  # it may still be read
+            _wait(array, self._stream)  # it may still be read
             self._used = 0
             if values.nbytes > len(self._bytes):
                 self._bytes = pinned(2 * values.nbytes, np.uint8)
         staged = self._bytes[self._used : self._used + values.nbytes]
         staged = staged.view(values.dtype).reshape(values.shape)
         staged[...] = values
-        self._used += -(-values.nbytes // ALIGN) * ALIGN
+        self._used += aligned(values.nbytes)
         array.copy_to_device(staged, stream=self._stream)
 
 

@@ -11,9 +11,9 @@ import contextlib
 
 import numpy as np
 
+from rainsim.cuda.driver import aligned
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 
-_ALIGN = 16
 _recorded = []  # lists of those sent while a queue is recorded, see `recording`
 
 
@@ -44,7 +44,7 @@ class FrameUniforms:
         for name, (shape, dtype) in arrays.items():
             count = int(np.prod(shape)) * np.dtype(dtype).itemsize
             places[name] = size, size + count
-            size += -(-count // _ALIGN) * _ALIGN
+            size += aligned(count)
         self._bytes, self._set = pinned(size, np.uint8), np.zeros(size, np.uint8)
         self._sent = None if SIMULATED else cuda.to_device(self._bytes, stream)
         for name, (shape, dtype) in arrays.items():

@@ -139,7 +139,7 @@ def _sum_blocks(bed, depth, mirrors, count_out, total_out):
 @inlined_function
 def is_smooth(depth, mirrors):
     """Tell whether water of a depth [m] can show as a surface: no grass stands out of it."""
-    return mirrors or depth > HIGH_GRASS
+    return mirrors | (depth > HIGH_GRASS)  # without a branch, so that a row is one in vectors
 
 
 @thorough_kernel
@@ -210,7 +210,7 @@ def _continue(bed, depth, mirrors, relief, wide, narrow, far, surface_out, over_
 def find_wet(depth, mirrors, wet_out):
     """Mark the cells of a row that carry a water surface; all in vectors."""
     for i in range(len(wet_out)):
-        wet_out[i] = (depth[i] > WET_CELL) & (mirrors[i] | (depth[i] > HIGH_GRASS))
+        wet_out[i] = (depth[i] > WET_CELL) & is_smooth(depth[i], mirrors[i])
 
 
 @inlined_function

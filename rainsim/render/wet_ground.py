@@ -55,7 +55,7 @@ class WetGround:
 
     def __init__(self, terrain, reach):
         self.terrain, self.reach, self.grass = terrain, reach, blurred_grass(terrain)
-        self.tracked = self._untouched = self.bodies = None
+        self.tracked = self.bodies = None
         self._tracks, self._copies = NO_TRACKS, []
 
     def stand(self, actors):
@@ -64,9 +64,8 @@ class WetGround:
 
     def wet(self, now):
         """Find how wet the ground is at the settings of one time."""
-        self._untouched = wetness.ground_wetness(self.terrain, self.grass, self.reach, now)
         self._copies = []
-        self._lay_tracks()
+        self._lay_tracks(wetness.ground_wetness(self.terrain, self.grass, self.reach, now))
 
     def take_tracks(self, tracks):
         """Take over where tyres have thinned the film, see `Tyres.tracks`; return if that is new.
@@ -78,14 +77,13 @@ class WetGround:
         if np.array_equal(tracks, self._tracks):
             return False
         self._tracks = tracks
-        self._lay_tracks()
+        self._lay_tracks(self.tracked.untouched)
         return True
 
-    def _lay_tracks(self):
+    def _lay_tracks(self, untouched):
         """Lay the tracks on a copy of the map; there are two, so that the last one stays."""
-        untouched, rows = self._untouched, slice(0, 0)
         if not self._tracks.size:
-            self.tracked = TrackedMap(untouched, untouched, rows)
+            self.tracked = TrackedMap(untouched, untouched, slice(0, 0))
             return
         ground = untouched.copy() if len(self._copies) < 2 else self._copies.pop(0).restored()
         self.tracked = TrackedMap(untouched, ground, wetness.thin_film(ground, self._tracks))
