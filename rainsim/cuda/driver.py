@@ -147,10 +147,20 @@ class Staging:
     def __init__(self, stream=0):
         self._stream, self._bytes, self._used = stream, np.zeros(0, np.uint8), 0
 
-    def send(self, array, values):
-        """Queue the copy of host values to a device array; they may be changed afterwards."""
+    def send(self, array, values, window=None):
+        """Queue the copy of host values to a device array; they may be changed afterwards.
+
+        Parameters
+        ----------
+        array : device array
+            Contiguous, unless a window is sent.
+        values : ndarray
+            Of the shape of the array, or of the window.
+        window : tuple of slice, optional
+            Rows and columns of the array, of which the others stay.
+        """
         if SIMULATED:
-            array.copy_to_device(values)
+            array[... if window is None else window] = values
             return
         if self._used + values.nbytes > len(self._bytes):
             _wait(array, self._stream)  # it may still be read
@@ -161,7 +171,23 @@ class Staging:
         staged = staged.view(values.dtype).reshape(values.shape)
         staged[...] = values
         self._used += aligned(values.nbytes)
-        array.copy_to_device(staged, stream=self._stream)
+        if window is None:
+            array.copy_to_device(staged, stream=self._stream)
+        else:
+            _copy_window(staged, array, window, self._stream)
+
+
+def _copy_window(host, array, window, stream):
+    """Queue the copy of a contiguous host array to a window of a device array."""
+    copy = driver.CUDA_MEMCPY2D()
+    copy.srcMemoryType = driver.CUmemorytype.CU_MEMORYTYPE_HOST
+    copy.srcHost, copy.srcPitch = host.ctypes.data, host[0].nbytes
+    copy.dstMemoryType = driver.CUmemorytype.CU_MEMORYTYPE_DEVICE
+    rows, columns = window
+    place = array.__cuda_array_interface__["data"][0] + rows.start * array.strides[0]
+    copy.dstDevice, copy.dstPitch = place + columns.start * array.strides[1], array.strides[0]
+    copy.WidthInBytes, copy.Height = host[0].nbytes, len(host)
+    checked(driver.cuMemcpy2DAsync(copy, handle_of(stream)))
 
 
 def _wait(array, stream):

@@ -10,6 +10,7 @@ import numpy as np
 
 from rainsim.cuda.driver import Staging, fetch, send, to_device
 from rainsim.cuda.graph import Graph
+from rainsim.cuda.moving_map import MovingMap
 from rainsim.cuda.rain.settling import CellLayout
 from rainsim.cuda.water import flow as lean
 from rainsim.cuda.water import step_control
@@ -90,7 +91,10 @@ class Water:
         self._stripes = side, -(-height // step_control.STRIPE)
         most = max(self._blocks[0] * self._blocks[1], side * height)
         self.account = Account(solver, exposure, most, stream)
-        self._staging = Staging(stream)
+        shares = self._maps.exposure.reshape(ny + 1, wide)
+        west = step_control.LEAD + PAD
+        rows, columns = slice(PAD, PAD + self.shape[0]), slice(west, west + self.shape[1])
+        self._exposure = MovingMap(shares[rows, columns], Staging(stream), exposure)
         self._recorded = {}  # launches of `advance` by name and page
 
     def _framed(self, field):
@@ -99,22 +103,22 @@ class Water:
         framed[: field.shape[0], step_control.LEAD : step_control.LEAD + field.shape[1]] = field
         return framed
 
-    def let_through(self, exposure, rows):
-        """Let another share of the rain fall from what is queued next on.
+    def let_through(self, exposure):
+        """Let another share (ny, nx), float32, of the rain fall from what is queued next on."""
+        self.account.let_through(exposure)
+        self._exposure.send(exposure, [], exposure)
+
+    def shelter(self, exposure, windows):
+        """Let less rain than `let_through` has said fall on some windows, and on no other cells.
 
         Parameters
         ----------
         exposure : ndarray of shape (ny, nx), float32
-        rows : sequence of slice
-            That differ from the share before.
+        windows : list of tuple of slice
+            Rows and columns.
         """
-        self.account.let_through(exposure, rows)
-        west, wide = step_control.LEAD + PAD, self.cells.width
-        for part in rows:
-            framed = np.zeros((part.stop - part.start, wide), np.float32)
-            framed[:, west : west + self.shape[1]] = exposure[part]
-            begin, end = ((n + PAD) * wide for n in (part.start, part.stop))
-            self._staging.send(self._maps.exposure[begin:end], framed.reshape(-1))
+        self.account.shelter(exposure, windows)
+        self._exposure.send(exposure, windows, self.account.open)
 
     @property
     def arrays(self):

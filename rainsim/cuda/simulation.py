@@ -1,7 +1,7 @@
 """Twin of `rainsim.simulation`: rain on terrain over time, its water never leaving the device.
 
 A step is a recorded queue on a stream of its own: the water of drops that ended, their rings, and
-the flow; where tyres roll, the flow alone. Beside it, on another, the drops are listed that end in
+the flow; where tyres roll, two, with what they do between them. Beside it, on another, the drops are listed that end in
 the interval that follows: this frame's splashes show some of them already. What draws the frame
 waits for both on the device; the host is not asked. Steps of the water that were not reached, and
 drops that found no room, are counted; the former go on, the latter end the run with an error, for
@@ -33,7 +33,7 @@ from rainsim.cuda.water.step_control import LEFT
 from rainsim.cuda.water.tyres import NOTHING_THROWN, Traffic
 from rainsim.drops import Weather
 from rainsim.errors import DivergedError
-from rainsim.io.states import NO_DRIPS, NO_IDS
+from rainsim.io.states import NO_DRIPS, NO_IDS, NO_TRACKS
 from rainsim.rain.exposure import rain_exposure
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.water.keyframed import moved_water
@@ -100,17 +100,17 @@ class DeviceState:
     @property
     def tracks(self):
         """How full the film is where tyres have passed, as `SimState` has it; waits."""
-        return self.simulation.thrown(self.step)["tracks"]
+        return self.simulation.tracks(self.step)
 
     @property
     def throws(self):
         """What tyres have thrown, as `SimState` has it; waits."""
-        return self.simulation.thrown(self.step)["throws"]
+        return self.simulation.thrown(self.step)[0]
 
     @property
     def throw_id(self):
         """The ids of `throws`."""
-        return self.simulation.thrown(self.step)["throw_id"]
+        return self.simulation.thrown(self.step)[1]
 
     @property
     def drip_list(self):
@@ -194,7 +194,7 @@ class Simulation:
         if self._traffic is not None:
             self._traffic.roll_over(self.water, self.impacts)
         self._ready, self._drawn = Event(), (Event(), Event())  # a step; what draws either page
-        self._steps, self._accounts = [None, None], [None, None]
+        self._recorded, self._accounts = {}, [None, None]  # queues by name and page
         self._index = self._begun = self._complete = self._late = -1
         self._fallen = 0.0  # m of rain since the start
         self.is_shown = False
@@ -239,8 +239,7 @@ class Simulation:
         if index > 0 and self._traffic is not None:
             self.complete()
             self._traffic.thin_rain()
-            tile = self.ripples.tile
-            self.ripples.tile = tile._replace(share=self._ringing(tile.size))
+            self.ripples.let_ring(self._ringing(self.ripples.tile.size))
         if index > 0:
             self._bring(*self._interval(index))
         if self.impacts is not None:
@@ -254,17 +253,12 @@ class Simulation:
             if self.impacts is not None:
                 self.impacts.listed.wait(stream)
             self._drawn[page].wait(stream)
-            queue = self.launch
-            if self._traffic is not None:
-                self._land()  # how many drops ring, and what tyres do, differs from step to step
-                self._traffic.roll(*self._interval(index), self.weather)
-                queue = self._flow
-            if index == 1:
-                queue()  # compiles; that was the step itself
+            if self._traffic is None:
+                self._run(index, "step", self.launch)
             else:
-                if self._steps[page] is None:
-                    self._steps[page] = Graph(stream, queue)
-                self._steps[page].launch()
+                self._run(index, "land", self._land)
+                self._traffic.roll(index, *self._interval(index), self.weather)
+                self._run(index, "flow", self._flow)
         self._ready.record(stream)
         if self.impacts is None:
             return
@@ -273,6 +267,16 @@ class Simulation:
             middles = (0.5 * sum(self._interval(index + n)) for n in (1, 2, 3))
             self._traffic.cover(*middles)
         self.impacts.list_beside()
+
+    def _run(self, index, name, queue):
+        """Queue a part of a step, recorded from the second step on: the first one compiles."""
+        if index == 1:
+            queue()
+            return
+        key = name, index % 2
+        if key not in self._recorded:
+            self._recorded[key] = Graph(self.water.stream, queue)
+        self._recorded[key].launch()
 
     def complete(self):
         """Wait for the step that has begun, and let it go on if it was not at its end.
@@ -305,18 +309,41 @@ class Simulation:
         drips = None if self.drips is None else self.drips.account.copy()
         tyres = None
         if self._traffic is not None:
-            self._traffic.look(index % 2, index / self.config.fps)
+            self._traffic.look(index % 2)
             tyres = copy.copy(self._traffic.tyres)
         self._accounts[index % 2] = control, fallen, drips, self._objects.inflow, tyres
 
     def thrown(self, index):
-        """Return throws, their ids and tracks of a step, at the earliest the last but one."""
+        """Return throws and their ids of a step, at the earliest the last but one."""
         if self._traffic is None:
             return NOTHING_THROWN
         self.begin(index)
         if index == self._begun:
             self.complete()
         return self._traffic.thrown[index % 2]
+
+    def tracks(self, index):
+        """Return the tracks of a step on the host, at the earliest the last but one; waits."""
+        if self._traffic is None:
+            return NO_TRACKS
+        self.begin(index)
+        if index == self._begun:
+            self.complete()
+        return self._traffic.tracks_of(index)
+
+    def thin_film(self, index, film, ground_out, stream):
+        """Queue the thinning of the film under a step's tracks, at the earliest the last but one's.
+
+        See `water.tracks.thin_film`; nobody waits.
+        """
+        self.begin(index)
+        self.before(stream, falls=False)
+        self._traffic.thin_film(index, film, ground_out, stream)
+
+    @property
+    def has_tyres(self):
+        """Whether tyres leave tracks."""
+        return self._traffic is not None and self._traffic.tracks is not None
 
     def _bring(self, before, time):
         """Set the rain that falls between two times."""
@@ -335,6 +362,7 @@ class Simulation:
     def _land(self):
         """Queue the water of the drops that ended, and their rings."""
         land = self.water, self.ripples, self.water.stream
+        self.ripples.send(self.water.stream)
         if self.drips is not None:
             page = self.water.page
             self.impacts.settle(*land, (self.drips.point, self.drips.came[page]))

@@ -134,7 +134,7 @@ class GpuWaterSolver:
         if most > 0.0 and rain.min() < most:
             share = (rain / most * share).astype(np.float32)
         if share is not self._falls:
-            self.water.let_through(share, [slice(0, self.shape[0])])
+            self.water.let_through(share)
             self._falls = share
         return most
 

@@ -99,6 +99,8 @@ class Conductor:
         Of the last frame, in the capture frame and in the ground frame.
     view : View or None
         Of the ground camera, as kernels take it.
+    sheltered : list of tuple of slice
+        Windows of the map in which actors keep rings off in the last frame.
     brightness : float
         Factor on the finished picture: that of the settings times the meter's.
     notes : list of str
@@ -108,7 +110,7 @@ class Conductor:
     def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
         self.frame, self._set_up = Frame((*PASSES, *LAYER_PASSES)), Frame(SET_UP)
         self._coming, self._coming_on = {}, None
-        self._common_rings = None
+        self._common_rings, self.sheltered = None, []
         terrain = with_footprints(tops_drawn(terrain, config), scene)
         self._first_camera = fixed_camera(scene, terrain, config) or first_camera
         self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
@@ -138,7 +140,6 @@ class Conductor:
             shows the motion: the capture stays sharp.
         """
         put, scene = self.frame.put, self.wet_scene
-        scene.take_tracks(state.tracks)
         self.set_time(state.time)
         if camera is not self.camera:
             self.camera, self.ground_camera = camera, scene.frame.camera_in_ground(camera)
@@ -156,9 +157,9 @@ class Conductor:
         put("render", render)
         put("time", state.time)
         put("interval", self.config.frame_interval)
-        surfaces, rings = self._moment(state.time)
+        surfaces, rings, self.sheltered = self._moment(state.time)
         put("surfaces", surfaces)
-        put("rings", rings)
+        put("rings", rings, compare=False)
         put("tops", self.ground.water.tops_with(state.top_water, now.rain.rate))
         rain = now.rain.rate, now.water.surface_film
         lens = self.ground_camera.fx, self.ground_camera.fy
@@ -183,16 +184,20 @@ class Conductor:
         return self.weather.field(time - LONGEST_LIFE, time + self.now.render.exposure)
 
     def _moment(self, time):
-        """Return what drops land on at a time [s], and the amplitude of rings on each cell."""
+        """Return what drops land on at a time [s], and the amplitude of rings on each cell.
+
+        And the windows of the map in which actors keep rings off.
+        """
         ground = self.ground
         if not ground.terrain.footprints:
-            return ground.moving.still, ground.rings
+            return ground.moving.still, ground.rings, []
         surfaces, shelters = ground.moving.moment(time)
         if self._common_rings is not None:
-            return surfaces, self._common_rings
+            return surfaces, *self._common_rings
+        windows = [part for part, _ in shelters]
         if self._coming_on is ground and time in self._coming:
-            return surfaces, self._coming[time].result()
-        return surfaces, self._rings(ground, shelters)
+            return surfaces, self._coming[time].result(), windows
+        return surfaces, self._rings(ground, shelters), windows
 
     @contextmanager
     def bands_of(self, camera, time):
@@ -200,7 +205,7 @@ class Conductor:
 
         Where rings run and what wet ground mirrors is the same for all, as at a time [s].
         """
-        self._common_rings = self._moment(time)[1]
+        self._common_rings = self._moment(time)[1:]
         self.ground.film.share_level(camera)
         try:
             yield

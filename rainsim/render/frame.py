@@ -15,6 +15,7 @@ buffer, too: `rainsim.render.layers` has the passes that write layers, which run
 
 from __future__ import annotations
 
+import operator
 from typing import NamedTuple
 
 import numpy as np
@@ -141,7 +142,7 @@ class Frame:
     def __contains__(self, name):
         return name in self._values
 
-    def put(self, name, value, mark=None):
+    def put(self, name, value, mark=None, compare=True):
         """Take over a value; nothing that reads it is run again if it is the same as before.
 
         Parameters
@@ -151,8 +152,11 @@ class Frame:
         value : object
         mark : object, optional
             Changes when the value does, where that is an object that lives on and changes.
+        compare : bool
+            Whether another object that is equal counts as the same.
         """
-        same = name in self._values and is_same(value, self._values[name])
+        alike = is_same if compare else operator.is_
+        same = name in self._values and alike(value, self._values[name])
         if not same or not is_same(mark, self._marks.get(name)):
             self._store(name, value)
         self._marks[name] = mark

@@ -49,17 +49,21 @@ class BodyMap:
     ----------
     now : ndarray of shape (ny, nx, 3) or (0, 0, 3), uint8
         See `body_map`.
+    still : ndarray
+        The same without what moves.
+    moved : list of tuple of slice
+        Rows and columns in which the two differ.
     """
 
     def __init__(self, terrain, actors=None):
-        self._terrain, self._actors, self._still = terrain, actors, body_map(terrain)
+        self._terrain, self._actors, self.still = terrain, actors, body_map(terrain)
         self.move()
 
     def move(self):
         """Put what moves where it is at the time of the actors."""
-        self.now = self._still
+        self.now, self.moved = self.still, []
         if self._actors is not None and self._actors.time is not None:
-            self.now = stamped(self._still, self._terrain, self._actors.time)
+            self.now, self.moved = stamped(self.still, self._terrain, self._actors.time)
 
 
 def body_map(terrain):
@@ -132,10 +136,16 @@ def stamped(bodies, terrain, time):
     bodies : ndarray of shape (ny, nx, 3) or (0, 0, 3), uint8
     terrain : Terrain
     time : float [s]
+
+    Returns
+    -------
+    ndarray
+    parts : list of tuple of slice
+        Rows and columns in which it differs.
     """
-    shadows = shadows_on(terrain.grid, terrain.footprints, time)
+    shadows, parts = shadows_on(terrain.grid, terrain.footprints, time), []
     if not shadows:
-        return bodies
+        return bodies, parts
     found = bodies.copy() if bodies.size else np.zeros((*terrain.grid.shape, 3), np.uint8)
     reach = round(AROUND / terrain.grid.spacing)
     for shadow in shadows:
@@ -146,7 +156,8 @@ def stamped(bodies, terrain, time):
         steps = ndimage.maximum_filter(steps, 2 * reach + 1)
         for channel, value in enumerate((0, steps, MOST)):
             np.copyto(found[(*part, channel)], np.uint8(value), where=steps > 0)
-    return found
+        parts.append(part)
+    return found, parts
 
 
 @inlined_function

@@ -19,7 +19,7 @@ def blur_weights(deviation):
 
 
 @inlined_function
-def _mirrored(k, n):
+def mirrored(k, n):
     """Return the cell of a row of n that a cell k beside it repeats: b a | a b c d | d c."""
     while k < 0 or k >= n:
         k = -1 - k if k < 0 else 2 * n - 1 - k
@@ -62,14 +62,14 @@ def lay_tracks(depth, passed, classes, holds, least, weights, tracks_out):
         for i in range(nx):
             total[i] = weights[0] * share[j, i]
         for k in range(reach, 0, -1):
-            before, after = share[_mirrored(j - k, ny)], share[_mirrored(j + k, ny)]
+            before, after = share[mirrored(j - k, ny)], share[mirrored(j + k, ny)]
             for i in range(nx):
                 total[i] += weights[k] * (np.float64(before[i]) + np.float64(after[i]))
         for i in range(nx):
             line[reach + i] = np.float32(total[i])
         for k in range(reach):
-            line[k] = line[reach + _mirrored(k - reach, nx)]
-            line[reach + nx + k] = line[reach + _mirrored(nx + k, nx)]
+            line[k] = line[reach + mirrored(k - reach, nx)]
+            line[reach + nx + k] = line[reach + mirrored(nx + k, nx)]
         for i in range(nx):
             total[i] = weights[0] * line[reach + i]
         for k in range(reach, 0, -1):

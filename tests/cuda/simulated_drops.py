@@ -32,7 +32,7 @@ class Ground:
         ny, nx = surfaces.shape
         self.cells = CellLayout(2 * nx, nx + 7, surfaces.spacing**2)
         self.waiting = np.zeros(2 * nx + ny * self.cells.width, np.int64)
-        self.tile = RippleTile(1.0, 4, cells, share)
+        self.tile = RippleTile(1.0, 4, cells, np.array([share]))
         self.pushes = np.zeros(SIZES * self.tile.steps * cells * cells, np.int64)
 
     def depths(self, surfaces):

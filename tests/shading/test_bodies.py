@@ -147,7 +147,12 @@ def test_an_actor_that_moves_takes_its_place_on_the_map_along():
 
     still = bodies.body_map(terrain)
     terrain.footprints = (SimpleNamespace(shadow=shadow),)
-    assert bodies.stamped(still, terrain, -1.0) is still
-    before, after = (bodies.stamped(still, terrain, time) for time in (0.0, 10.0))
+    untouched, nowhere = bodies.stamped(still, terrain, -1.0)
+    assert untouched is still and not nowhere
+    (before, _), (after, (part,)) = (bodies.stamped(still, terrain, time) for time in (0.0, 10.0))
+    same = np.zeros_like(after)
+    same[part] = after[part]
+    np.testing.assert_array_equal(same, after)
+    assert after[part].any()
     assert share(before, 0.9, 1.9, 0.4) == share(after, 2.9, 1.9, 0.4) == 1
     assert share(after, 0.9, 1.9, 0.4) == share(before, 2.9, 1.9, 0.4) == 0

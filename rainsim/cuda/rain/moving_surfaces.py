@@ -1,6 +1,6 @@
 """Twin of `rain.moving_surfaces`: the map that drops meet on a device, with actors on it.
 
-The host puts the actors onto its map; the rows that they cover, and have covered, are sent.
+The host puts the actors onto its map; the windows that they cover, and have covered, are sent.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import numpy as np
 
 from rainsim.cuda.driver import Staging
 from rainsim.cuda.drops import sent_surfaces
+from rainsim.cuda.moving_map import MovingMap
 
 ABOVE = 0.01  # m; lines are followed from this far above all that moves
 FIELDS = ("top", "underside")
@@ -37,26 +38,17 @@ class MovingHeights:
         highest = max((footprint.highest for footprint in footprints), default=-np.inf)
         self.fields = fields._replace(sky=max(fields.sky, highest + ABOVE))
         self._staging = Staging(stream)
-        self._rows = []  # that actors cover on the device
+        self._maps = {
+            name: MovingMap(getattr(self.fields, name), self._staging) for name in FIELDS
+        }
+        self._are_still = True
 
     def send(self, surfaces, shelters):
         """Send the map of `MovingSurfaces.moment`; the device must draw nothing meanwhile."""
-        found, rows = surfaces.height_fields(), [part[0] for part, _ in shelters]
-        for part in joined_rows([*self._rows, *rows]):
-            for name in FIELDS:
-                self._staging.send(getattr(self.fields, name)[part], getattr(found, name)[part])
-        if self._rows or rows:
+        found, windows = surfaces.height_fields(), [part for part, _ in shelters]
+        for name, there in self._maps.items():
+            there.send(getattr(found, name), windows)
+        if windows or not self._are_still:
             for name in BLOCKS:
                 self._staging.send(getattr(self.fields, name), getattr(found, name))
-        self._rows = rows
-
-
-def joined_rows(parts):
-    """Return slices of rows that cover the same rows as `parts`, each once, in their order."""
-    found = []
-    for part in sorted(parts, key=lambda part: part.start):
-        if found and part.start <= found[-1].stop:
-            found[-1] = slice(found[-1].start, max(found[-1].stop, part.stop))
-        else:
-            found.append(part)
-    return found
+        self._are_still = not windows

@@ -71,14 +71,14 @@ class RippleTile(NamedTuple):
         Side.
     steps, cells : int
         Parts of an interval, and cells along a side.
-    share : float
+    share : device array of shape (1,), float64
         Of the drops on the ground that ring on the tile.
     """
 
     size: float
     steps: int
     cells: int
-    share: float
+    share: object
 
 
 @cuda_kernel
@@ -139,7 +139,7 @@ def ring(word, x, y, momentum, age, tile, pushes_out):
 
     `age` is the time since it came down over the interval's length; see `settle`.
     """
-    if uniform(mix(word)) >= tile.share:
+    if uniform(mix(word)) >= tile.share[0]:
         return
     push, steps, cells = momentum / PUSH_UNIT, tile.steps, tile.cells
     step = min(max(steps - 1 - int(age * steps), 0), steps - 1)

@@ -14,16 +14,17 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.lod.paged import ChunkPicture
-from rainsim.cuda.rain.moving_surfaces import joined_rows
+from rainsim.cuda.moving_map import MovingMap
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.render.passes import Passes
+from rainsim.io.states import NO_TRACKS
 from rainsim.particles.fog import FOG_STEPS
 from rainsim.reflection.ray_water import COVERING_DEPTHS
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_pass import March
 from rainsim.scene.view import view_of_arrays
 from rainsim.shading.grading import Look
-from rainsim.shading.wetness import OffGroundWetness
+from rainsim.shading.wetness import OffGroundWetness, Wetness
 from rainsim.ssr import bounds_of
 
 
@@ -50,6 +51,8 @@ class DeviceFrame:
     passes : Passes
     pending : list of callable
         Copies to the device that the next frame needs before its queue starts.
+    look : tuple
+        Numbers of what changes the look of the next frame of a camera.
     size : tuple of int or None
         Height and width [px].
     tile : float32 [m]
@@ -84,11 +87,20 @@ class DeviceFrame:
             depths=to_device(tops.depths), holds=to_device(tops.holds),
             origin=to_device(tops.origin),
         )  # fmt: skip
-        self.size = self.uniforms = self.tile = self._version = None
+        self.size = self.uniforms = self.tile = self._version = self.look = None
         self.passes = Passes(self)
         self.pending, self._staging = [], Staging(stream)
+        self._maps = {
+            name: MovingMap(self._buffers[name], self._staging, still)
+            for name, still in (
+                ("rings", ground.rings), ("ground_map", scene.ground.tracked.untouched),
+                ("bodies", None),
+            )
+        }  # fmt: skip
+        self._film = None, None  # of ground that no tyre has passed: its map, the film here
         self._sent = {name: value for name, value, _ in self._kept() if name != "actors"}
-        self._send("bodies", scene.ground.bodies.now, self._copy_bodies)
+        name, value, send = next(each for each in self._kept() if each[0] == "bodies")
+        self._send(name, value, send)
         self.rasterizer.recolors = False
 
     def __getitem__(self, name):
@@ -107,6 +119,8 @@ class DeviceFrame:
         The device may still be drawing the frame before: only `pending` writes to its buffers.
         """
         conductor, passes = self.conductor, self.passes
+        on_device = simulation_of(state) is not None
+        conductor.wet_scene.take_tracks(NO_TRACKS if on_device else state.tracks)
         conductor.take(camera, state, camera_end)
         self.pending = [
             partial(self._send, name, value, send)
@@ -127,6 +141,7 @@ class DeviceFrame:
         passes.ground_light.update(camera, conductor.ground_camera)
         if passes.glare is not None:
             passes.glare.update(conductor.ground_camera.fx)
+        self.look = conductor.wet_scene.changes
         self._take_state(state)
         fog = passes.rain.update(state, camera_end)
         view = conductor.view
@@ -142,14 +157,17 @@ class DeviceFrame:
         copies = {
             "behind": scene.sky.behind,
             "behind_mirrored": scene.sky.behind_mirrored,
-            "rings": self.conductor.frame["rings"] if "rings" in self.conductor.frame
-            else self.conductor.ground.rings,
-        }  # fmt: skip
+        }
         kept = [(name, array, partial(self._copy, name)) for name, array in copies.items()]
+        inputs, still = self.conductor.frame, self.conductor.ground.rings
+        rings = inputs["rings"] if "rings" in inputs else still
+        windows = self.conductor.sheltered
+        kept.append(("rings", rings, partial(self._send_rings, windows, still)))
         kept.append(("ground_map", scene.ground.tracked, self._send_ground))
         if scene.capture.actors is not None and scene.capture.paged is None:
             kept.append(("actors", scene.capture.actors.placed, self._send_actors))
-        kept.append(("bodies", scene.ground.bodies.now, self._copy_bodies))
+        bodies = scene.ground.bodies
+        kept.append(("bodies", bodies.now, partial(self._send_bodies, bodies.moved, bodies.still)))
         if scene.capture.paged is None:
             kept.append(("colors", scene.capture.drawn, self._send_colors))
         return kept
@@ -170,16 +188,17 @@ class DeviceFrame:
 
     def _send_ground(self, tracked):
         """Send the rows of a `TrackedMap` that differ from those that are there."""
-        before, there = self._sent["ground_map"], self._buffers["ground_map"]
-        rows = [each.rows for each in (before, tracked) if each.rows.start < each.rows.stop]
-        if before.untouched is not tracked.untouched:
-            rows = [slice(0, len(tracked.map))]
-        for part in joined_rows(rows):
-            self._staging.send(there[part], tracked.map[part])
+        rows, columns = tracked.rows, slice(0, tracked.map.shape[1])
+        windows = [(rows, columns)] if rows.start < rows.stop else []
+        self._maps["ground_map"].send(tracked.map, windows, tracked.untouched)
 
-    def _copy_bodies(self, bodies):
-        there = self._buffers["bodies"]
-        send(there, bodies if bodies.size else np.zeros(there.shape, np.uint8), self.stream)
+    def _send_rings(self, windows, still, rings):
+        self._maps["rings"].send(rings, windows, still)
+
+    def _send_bodies(self, windows, still, bodies):
+        shape = self._buffers["bodies"].shape
+        bodies = bodies if bodies.size else np.zeros(shape, np.uint8)
+        self._maps["bodies"].send(bodies, windows, still)
 
     def _send_colors(self, drawn):
         self.rasterizer.splats.send_colors(drawn)
@@ -196,7 +215,10 @@ class DeviceFrame:
         self.tile = np.float32(state.tile_size)
         if len(self._tops.form):
             self.uniforms.update(tops=self.conductor.frame["tops"].water)
-        if simulation_of(state) is not None:
+        if (simulation := simulation_of(state)) is not None:
+            if simulation.has_tyres:
+                self.pending.append(partial(self._thin_film, state))
+                self.look = *self.look, state.step
             return
         moments = ripple_moments(state.slopes)
         if self._buffers["moments"] is None:
@@ -209,9 +231,19 @@ class DeviceFrame:
 
         self.pending.append(send_water)
 
+    def _thin_film(self, state):
+        """Queue the thinning of the film where tyres have passed, on a device's own water."""
+        untouched = self.conductor.wet_scene.ground.tracked.untouched
+        if self._film[0] is not untouched:
+            film = untouched[..., Wetness._fields.index("film")]
+            self._film = untouched, to_device(film)
+        there = self._film[1], self._buffers["ground_map"]
+        state.simulation.thin_film(state.step, *there, self.stream)
+
     def leave_water(self):
         """Let go of the water of the frames so far; the next shows that of another simulation."""
         self._buffers["moments"], self.passes.surface.depth = None, self._buffers["water"]
+        self._sent["ground_map"], self._maps["ground_map"].still = None, None
         self.passes.rain.leave_water()
 
     def take_water(self, state):

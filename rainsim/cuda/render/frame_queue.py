@@ -34,7 +34,7 @@ class Flight:
     shot : tuple
         Camera, state and the camera as the shutter closes.
     look : tuple
-        Numbers of what changes the look, see `WetScene.changes`.
+        See `DeviceFrame`.
     begin : float [s]
         When its queue began.
     """
@@ -173,7 +173,9 @@ class FrameQueue:
         self.frame, self.stream = frame, frame.stream
         self._shore, self.pictures = cuda.stream(), HostPictures()
         self._recorded = Recordings(frame, self._shore)
-        self._composed, self._surfaced, self._splatted, self._graded = (Event() for _ in range(4))
+        self._sent, self._composed, self._surfaced, self._splatted, self._graded = (
+            Event() for _ in range(5)
+        )
         self._simulation = None  # whose water they show, on the device
         self._next = self._flight = self.done = None
         self._kept = None  # the flight whose picture without water is on the device
@@ -251,7 +253,7 @@ class FrameQueue:
             self._recorded.leave_water()
             self.frame.leave_water()
         self.frame.update(*shot)
-        self._next = Flight(shot, self.frame.conductor.wet_scene.changes)
+        self._next = Flight(shot, self.frame.look)
         self.pictures.room_for(self.frame.size)
 
     def _may_overlap(self):
@@ -268,7 +270,9 @@ class FrameQueue:
         for send in self.frame.pending:
             send()
         if self.frame.pending:
-            self.stream.synchronize()  # other streams read what was sent, too
+            self._sent.record(self.stream)
+            for stream in (self.frame.ahead, self._shore):  # others wait for one of the three
+                self._sent.wait(stream)
         self.frame.pending = []
         self._launch_dry(self._is_still())
         if (simulation := simulation_of(state)) is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from rainsim.cuda.driver import fetch, to_device
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import pinned
+from rainsim.cuda.moving_map import joined
 from rainsim.cuda.water import step_control
 from rainsim.cuda.water.step_control import (
     ADDED,
@@ -59,6 +60,8 @@ class Account:
     control, state, now, numbers, partial : device arrays
         See the constants of `step_control`.
     courant : float
+    open : ndarray of shape (ny, nx), float32
+        Share of the rain that falls on each cell where nothing that moves shelters it.
     exposed : float
         Sum over the cells of the share of the rain that falls on each.
     seen : ndarray of shape (CONTROL,), float64
@@ -69,8 +72,7 @@ class Account:
         flow, sources, ledger = solver.flow, solver.sources, solver.ledger
         self._before, self._area, self._stream = ledger, solver.spacing**2, stream
         self._rate, self.courant = None, solver.courant
-        self._sums, self._most = np.zeros(len(exposure)), np.zeros(len(exposure), np.float32)
-        self.let_through(exposure, [slice(0, len(exposure))])
+        self.let_through(exposure)
         self._spacing, self._gravity = solver.spacing, float(np.float32(solver.gravity))
         numbers, state = np.zeros(7), np.zeros(step_control.STATE, np.int32)
         control = np.zeros(step_control.CONTROL)
@@ -103,16 +105,27 @@ class Account:
             rain = np.float32(rate)
             now[RATE], now[RAIN_SUM], now[RAIN_STEP] = rate, float(rain) * self.exposed, np.inf
             if rate > 0.0:
-                most = self._gravity * float(rain * self._most.max())
+                most = self._gravity * float(rain * self._falls.flat[self._at])
                 now[RAIN_STEP] = (self.courant * self._spacing) ** (2 / 3) / most ** (1 / 3)
             self._rate = rate
 
-    def let_through(self, exposure, rows):
-        """Let another share of the rain fall on the cells of some rows, from `update` on."""
-        for part in rows:
-            self._sums[part] = exposure[part].sum(axis=1, dtype=np.float64)
-            self._most[part] = exposure[part].max(axis=1)
-        self.exposed, self._rate = float(self._sums.sum()), None
+    def let_through(self, exposure):
+        """Let another share (ny, nx), float32, of the rain fall on the cells, from `update` on."""
+        self.open, self._whole = exposure, _sum_of(exposure)
+        self._most, self._at = exposure.max(), int(exposure.argmax())
+        self.shelter(exposure, [])
+
+    def shelter(self, exposure, windows):
+        """Let less of the rain fall on windows, and on no other cells, see `Water.shelter`.
+
+        `exposure` is read until it is given again.
+        """
+        kept_off = sum(
+            _sum_of(self.open[part]) - _sum_of(exposure[part]) for part in joined(windows)
+        )
+        self.exposed, self._rate, self._falls = self._whole - kept_off, None, exposure
+        if exposure.flat[self._at] < self._most:  # the cell of the largest share is sheltered now
+            self._at = int(exposure.argmax())
 
     def send(self):
         """Queue the sending of what `update` has set."""
@@ -142,3 +155,7 @@ class Account:
             infiltrated=before.infiltrated + volume[INFILTRATED],
             drained=before.drained + volume[DRAINED], ground=volume[GROUND], film=volume[FILM],
         )  # fmt: skip
+
+
+def _sum_of(share):
+    return float(share.sum(dtype=np.float64))

@@ -14,6 +14,7 @@ import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.cuda.driver import Event, to_device
+from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.rain.settling import PUSH_UNIT, RippleTile
 from rainsim.errors import ParameterError
@@ -205,7 +206,7 @@ class Ripples:
         From one frame to the next.
     stream : cuda.stream
     share : float
-        Of the drops on the ground that ring on the tile.
+        See `let_ring`.
 
     Attributes
     ----------
@@ -231,7 +232,10 @@ class Ripples:
                 f"to {MOST}"
             )
         steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
-        self.stream, self.tile = stream, RippleTile(tile.size, steps, n, share)
+        self._now = FrameUniforms(stream, {"share": ((1,), np.float64)})
+        self.stream, self.tile = stream, RippleTile(tile.size, steps, n, self._now["share"])
+        self.let_ring(share)
+        self.send(stream)
         self._maps = SIZES * ((steps + 1) // 2)
         step = duration / steps
         shrink, angle = np.exp(-tile._damping * step), tile._omega * step
@@ -256,6 +260,14 @@ class Ripples:
         self.pages = [to_device(empty, stream) for _ in range(2)]
         self._forked, self._joined = Event(), Event()
         self.turn_page(0)
+
+    def let_ring(self, share):
+        """Let a share of the drops on the ground ring on the tile, from `send` on."""
+        self._now.update(share=share)
+
+    def send(self, stream):
+        """Queue the sending of what `let_ring` has set, on a stream on which drops come down."""
+        self._now.send(stream)
 
     def turn_page(self, page):
         """Let the next frame's moments be that array of `pages`, so that the last ones stay."""

@@ -3,18 +3,19 @@
 The host knows where tyres roll and what they throw; of the water it needs the cells under them.
 Those of a step are read together and written back together, and the water that comes down is added
 as drops are. The map that drops meet and the share of the rain that reaches the ground follow the
-actors by the rows that they cover.
+actors by the windows that they cover.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from rainsim.cuda.driver import fetch, send, to_device
+from rainsim.cuda.driver import send, to_device
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.cuda.rain.moving_surfaces import MovingHeights, joined_rows
+from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.cuda.water.cells import DEPTH, FILM, REMAINDER, WAITING, Cells
 from rainsim.cuda.water.step_control import UNIT
+from rainsim.cuda.water.tracks import Tracks
 from rainsim.io.states import NO_IDS, NO_THROWS, NO_TRACKS
 from rainsim.jit import may_run_beside
 from rainsim.rain.moving_surfaces import MovingSurfaces
@@ -24,7 +25,7 @@ from rainsim.water.window_tyres import tyres_of
 
 ROOM = 4096  # cells that there is room for at first
 LIFTED = [DEPTH, REMAINDER, FILM]  # rows of the table of cells that tyres change
-NOTHING_THROWN = {"tracks": NO_TRACKS, "throws": NO_THROWS, "throw_id": NO_IDS}
+NOTHING_THROWN = NO_THROWS, NO_IDS
 
 
 @cuda_kernel
@@ -41,12 +42,17 @@ class Road:
     Parameters
     ----------
     water : rainsim.cuda.grid.Water
+
+    Attributes
+    ----------
+    passed : list of tuple of ndarray
+        Rows and columns of the cells of which water was taken; who reads it empties it.
     """
 
     def __init__(self, water):
         self._water, self._area = water, water.cells.area
         self._cells, self._table = Cells(water, ROOM), None  # no table: no cells are held
-        self._units = to_device(np.zeros(ROOM, np.int64), water.stream)
+        self._units, self.passed = to_device(np.zeros(ROOM, np.int64), water.stream), []
 
     def hold(self, ways):
         """Read the cells of some ways, pairs of rows and columns; waits for them."""
@@ -59,6 +65,7 @@ class Road:
 
     def lift(self, rows, columns, left):
         """Take the water of cells that are held, see `WaterSolver.lift`."""
+        self.passed.append((rows, columns))
         at = np.searchsorted(self._cells.places, self._water.places(rows, columns))
         *kept, taken = lift_cells(
             *(values[at] for values in self._held), left, self._area, DRY_DEPTH
@@ -96,6 +103,15 @@ class Road:
 class DeviceTyres(Tyres):
     """Tyres that also roll over a `Road`."""
 
+    @property
+    def has_cars(self):
+        """Whether there is a tyre."""
+        return len(self._cars) > 0
+
+    def tracks_on(self, stream):
+        """Return the `Tracks` on a device as they are now."""
+        return Tracks(self._terrain, self._passed, stream)
+
     def _step(self, solver, start, stop, weather):
         held = isinstance(solver, Road)
         if held:
@@ -127,8 +143,10 @@ class Traffic:
     Attributes
     ----------
     tyres : DeviceTyres
-    thrown : list of dict
-        What `Tyres.state` returned for the last states by their page.
+    tracks : Tracks or None
+        None without tyres.
+    thrown : list of tuple
+        What `Tyres.throws` returned for the last states by their page.
     """
 
     def __init__(self, terrain, config, wind, exposure):
@@ -136,14 +154,15 @@ class Traffic:
         self._moving = MovingSurfaces(terrain, speed_and_direction, roughness)
         self.tyres = tyres_of(terrain, config, kind=DeviceTyres)
         self._footprints, self._exposure = terrain.footprints, exposure
-        self._depth = np.zeros(terrain.grid.shape, np.float32)
-        self._rows, self._opened = [], exposure.copy()
-        self._road = self._heights = self._water = None
+        self._sheltered, self._opened = [], exposure.copy()
+        self._road = self._heights = self._water = self.tracks = None
         self.thrown = [NOTHING_THROWN, NOTHING_THROWN]
 
     def roll_over(self, water, impacts):
         """Take over the water of a device and, if it rains, the drops that are listed there."""
         self._road, self._water = Road(water), water
+        if self.tyres.has_cars:
+            self.tracks = self.tyres.tracks_on(water.stream)
         if impacts is not None:
             self._heights = MovingHeights(self._moving.still, self._footprints, impacts.stream)
             impacts.surfaces, impacts.relisted = self._heights.fields, True
@@ -163,23 +182,35 @@ class Traffic:
         if self._heights is None:
             return
         shelters = self._moving.moment(self._middle)[1]
-        rows = [part[0] for part, _ in shelters]
-        changed = joined_rows([*self._rows, *rows])
-        for part in changed:
+        before, self._sheltered = self._sheltered, [part for part, _ in shelters]
+        for part in before:
             self._opened[part] = self._exposure[part]
         for part, let_through in shelters:
             self._opened[part] *= let_through
-        if changed:
-            self._water.let_through(self._opened, changed)
-        self._rows = rows
+        if before or shelters:
+            self._water.shelter(self._opened, self._sheltered)
 
-    def roll(self, start, stop, weather):
-        """Let tyres roll from `start` to `stop` [s], see `Tyres.roll`; waits for the device."""
+    def roll(self, step, start, stop, weather):
+        """Let tyres roll in a step from `start` to `stop` [s], see `Tyres.roll`; waits."""
         self.tyres.roll(self._road, start, stop, weather)
+        if self._road.passed:
+            rows, columns = map(np.concatenate, zip(*self._road.passed, strict=True))
+            self.tracks.mark(rows, columns, step)
+            self._road.passed.clear()
 
-    def look(self, page, time):
-        """Keep throws, their ids and tracks at the time [s] of a page's water; waits for it."""
-        part, depth = self.tyres.passed(), self._water.depths[page]
-        if part is not None:
-            self._depth[part[0]] = fetch(depth[part[0].start : part[0].stop], self._water.stream)
-        self.thrown[page] = self.tyres.state(self._depth, time)
+    def look(self, page):
+        """Keep throws and their ids at the time of a page's water."""
+        self.thrown[page] = self.tyres.throws()
+
+    def tracks_of(self, step):
+        """Return the tracks at a step's end on the host, see `Tyres.tracks`; waits."""
+        window = self.tyres.passed()
+        if window is None:
+            return NO_TRACKS
+        return self.tracks.fetch(window, self._water.depths[step % 2], step)
+
+    def thin_film(self, step, film, ground_out, stream):
+        """Queue the thinning of the film under the tracks at a step's end, see `Tracks.thin`."""
+        if (window := self.tyres.passed()) is not None:
+            depth = self._water.depths[step % 2]
+            self.tracks.thin(window, depth, step, film, ground_out, stream)

@@ -1,0 +1,65 @@
+"""Maps on a device of which the windows are sent that moving things change."""
+
+from __future__ import annotations
+
+
+class MovingMap:
+    """A map on a device that follows one of the host, over which things move.
+
+    Parameters
+    ----------
+    there : device array of shape (ny, nx, ...)
+        Written to by `send`.
+    staging : Staging
+    still : object
+        What `there` has been filled from, see `send`.
+
+    Attributes
+    ----------
+    still : object
+        None: all is to be sent.
+    """
+
+    def __init__(self, there, staging, still=None):
+        self._there, self._staging, self._windows = there, staging, []
+        self.still = still
+
+    def send(self, values, windows, still=None):
+        """Queue the sending of what differs from the map that is there.
+
+        Parameters
+        ----------
+        values : ndarray of shape (ny, nx, ...)
+        windows : list of tuple of slice
+            Rows and columns in which they differ from the map without what moves.
+        still : object
+            What stands for that map: if it is another one than before, all is sent.
+        """
+        parts = joined(self._windows, windows)
+        if still is not self.still:
+            rows, columns = values.shape[:2]
+            parts = [(slice(0, rows), slice(0, columns))]
+        for part in parts:
+            self._staging.send(self._there, values[part], part)
+        self.still, self._windows = still, windows
+
+
+def joined(*lists):
+    """Return windows, no two of which overlap, that cover those of some lists.
+
+    A window is a tuple of two slices, rows and columns. Those that overlap become one.
+    """
+    found = []
+    for window in (window for each in lists for window in each):
+        while (other := next((o for o in found if _overlap(o, window)), None)) is not None:
+            found.remove(other)
+            window = tuple(
+                slice(min(a.start, b.start), max(a.stop, b.stop))
+                for a, b in zip(other, window, strict=True)
+            )
+        found.append(window)
+    return found
+
+
+def _overlap(one, other):
+    return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
