@@ -21,7 +21,7 @@ from rainsim.scene.splat_sets import own_turns
 
 LEAST_SPACING = 0.03  # m, of an actor's own cells: what is finer shows gaps between its splats
 CLOSING = 2  # cells: gaps up to twice as wide are closed
-HIGHER = 0.02  # m over the bed that an actor must be in a cell to count there
+HIGHER = np.float32(0.02)  # m over the bed that an actor must be in a cell to count there
 
 
 class Shadow(NamedTuple):
@@ -112,12 +112,16 @@ class Footprint:
     def _found(self):
         return {}
 
+    @cached_property
+    def _middle(self):
+        return float(np.nanmean(self.top))
+
     def _shadow(self, grid, time):
         pose = self.motion.at(time)
         if pose is None:
             return None
         rotation, shift = self.ground_from_upright(pose)
-        middle = float(np.nanmean(self.top))
+        middle = self._middle
         rows, columns = self.top.shape
         ends = self.low + np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]]) * (
             self.spacing
@@ -243,13 +247,36 @@ def put_on(bed, top, underside, shadow):
     A cell holds one column. Where something higher hangs over the actor, which keeps the rain off
     already, the cell stays as it is.
     """
-    part = shadow.part
-    with np.errstate(invalid="ignore"):
-        here = (shadow.top > bed[part] + HIGHER) & (shadow.top > top[part])
-        lower = np.maximum(shadow.underside, bed[part])
-        stands = underside[part] <= bed[part]
-        there = top[part] > bed[part]
-    under = np.where(there & stands, bed[part], lower)
-    underside[part] = np.where(here, under, underside[part])
-    top[part] = np.where(here, shadow.top, top[part])
+    here = np.empty(shadow.top.shape, np.bool_)
+    rows, columns = shadow.part
+    _put_on(
+        bed, shadow.top, shadow.underside, rows.start, columns.start, top, underside, here
+    )
     return here
+
+
+@cpu_kernel
+def _put_on(bed, own_top, own_underside, first_row, first_column, top_out, underside_out, here_out):
+    """Put an actor onto height fields, see `put_on`; `here_out` is the mask of its cells.
+
+    Parameters
+    ----------
+    bed : ndarray of shape (ny, nx), float32 [m]
+    own_top, own_underside : ndarray of shape (rows, columns), float32 [m]
+        Of the actor; NaN beside it.
+    first_row, first_column : int
+        Of the actor's cells on the map.
+    top_out, underside_out : ndarray of shape (ny, nx), float32 [m]
+    here_out : ndarray of shape (rows, columns), bool
+    """
+    rows, columns = here_out.shape
+    for j in prange(rows):
+        for i in range(columns):
+            row, column = first_row + j, first_column + i
+            low, high, above = bed[row, column], top_out[row, column], own_top[j, i]
+            here = above > low + HIGHER and above > high
+            here_out[j, i] = here
+            if here:
+                stands = underside_out[row, column] <= low and high > low
+                underside_out[row, column] = low if stands else max(own_underside[j, i], low)
+                top_out[row, column] = above

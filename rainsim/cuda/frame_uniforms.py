@@ -46,6 +46,8 @@ class FrameUniforms:
             places[name] = size, size + count
             size += aligned(count)
         self._bytes, self._set = pinned(size, np.uint8), np.zeros(size, np.uint8)
+        # Through these no copy lets go of Python's lock, which another thread may keep for long.
+        self._views = memoryview(self._bytes), memoryview(self._set)
         self._sent = None if SIMULATED else cuda.to_device(self._bytes, stream)
         for name, (shape, dtype) in arrays.items():
             first, end = places[name]
@@ -65,7 +67,8 @@ class FrameUniforms:
 
     def commit(self):
         """Fill the pinned buffer with the present values; its last copy must be finished."""
-        self._bytes[...] = self._set
+        pinned_bytes, now = self._views
+        pinned_bytes[:] = now
 
     def send(self, stream=None):
         """Queue the copy of all arrays to the device, on another stream than its own if given."""

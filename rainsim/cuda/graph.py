@@ -72,6 +72,26 @@ class Graph:
             driver.cuGraphExecDestroy(self._run)
 
 
+class Repeated:
+    """Work on a stream, queued as it is the first time, which compiles, and recorded from then on.
+
+    Parameters are those of `Graph`.
+    """
+
+    def __init__(self, stream, queue):
+        self._stream, self._queue, self._graph, self._is_compiled = stream, queue, None, False
+
+    def launch(self):
+        """Queue the work; the second time this waits for the stream."""
+        if not self._is_compiled:
+            self._is_compiled = True
+            self._queue()
+            return
+        if self._graph is None:
+            self._graph = Graph(self._stream, self._queue)
+        self._graph.launch()
+
+
 def chain(parts):
     """Return a function that calls all of `parts`."""
 

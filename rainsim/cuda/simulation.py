@@ -1,11 +1,11 @@
 """Twin of `rainsim.simulation`: rain on terrain over time, its water never leaving the device.
 
 A step is a recorded queue on a stream of its own: the water of drops that ended, their rings, and
-the flow; where tyres roll, two, with what they do between them. Beside it, on another, the drops are listed that end in
-the interval that follows: this frame's splashes show some of them already. What draws the frame
-waits for both on the device; the host is not asked. Steps of the water that were not reached, and
-drops that found no room, are counted; the former go on, the latter end the run with an error, for
-their list has room for far more than ever fall.
+the flow; where tyres roll, two, with what they do between them. Beside it, on another, the drops
+are listed that end in the interval that follows: this frame's splashes show some of them already.
+What draws the frame waits for both on the device; the host is not asked. Steps of the water that
+were not reached, and drops that found no room, are counted; the former go on, the latter end the
+run with an error, for their list has room for far more than ever fall.
 
 `advance` only says what the next step is; it begins with `begin`, at the latest when its results
 are asked for. So the host can make ready one frame while the device works on the one before, and
@@ -22,7 +22,7 @@ import numpy as np
 from rainsim import simulation as host
 from rainsim.config.settings import mm_per_hour
 from rainsim.cuda.driver import Event, one_fault, send
-from rainsim.cuda.graph import Graph
+from rainsim.cuda.graph import Repeated
 from rainsim.cuda.grid import Water
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.rain.dripping import Drips, volumes
@@ -35,6 +35,7 @@ from rainsim.drops import Weather
 from rainsim.errors import DivergedError
 from rainsim.io.states import NO_DRIPS, NO_IDS, NO_TRACKS
 from rainsim.rain.exposure import rain_exposure
+from rainsim.rain.moving_surfaces import FRAMES_AHEAD
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.water.keyframed import moved_water
 from rainsim.water.ripples import LAYERS
@@ -194,7 +195,7 @@ class Simulation:
         if self._traffic is not None:
             self._traffic.roll_over(self.water, self.impacts)
         self._ready, self._drawn = Event(), (Event(), Event())  # a step; what draws either page
-        self._recorded, self._accounts = {}, [None, None]  # queues by name and page
+        self._queues, self._accounts = {}, [None, None]  # parts of a step by name and page
         self._index = self._begun = self._complete = self._late = -1
         self._fallen = 0.0  # m of rain since the start
         self.is_shown = False
@@ -264,19 +265,17 @@ class Simulation:
             return
         if self._traffic is not None:
             self.impacts.listed.synchronize()
-            middles = (0.5 * sum(self._interval(index + n)) for n in (1, 2, 3))
+            coming = range(index + 1, index + 2 + FRAMES_AHEAD)
+            middles = (0.5 * sum(self._interval(n)) for n in coming)
             self._traffic.cover(*middles)
         self.impacts.list_beside()
 
     def _run(self, index, name, queue):
-        """Queue a part of a step, recorded from the second step on: the first one compiles."""
-        if index == 1:
-            queue()
-            return
+        """Queue a part of a step; the parts of each page are recorded."""
         key = name, index % 2
-        if key not in self._recorded:
-            self._recorded[key] = Graph(self.water.stream, queue)
-        self._recorded[key].launch()
+        if key not in self._queues:
+            self._queues[key] = Repeated(self.water.stream, queue)
+        self._queues[key].launch()
 
     def complete(self):
         """Wait for the step that has begun, and let it go on if it was not at its end.

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from rainsim.constants import HALF, ONE, ZERO
+from rainsim.constants import HALF, ZERO
 from rainsim.io import cache
 from rainsim.jit import cpu_kernel, prange
 from rainsim.rain.size_distribution import terminal_speed
@@ -47,19 +47,17 @@ def computed_exposure(terrain, wind, roughness=0.0):
 
     See `rain_exposure`, which keeps it.
     """
-    total = np.zeros(terrain.grid.shape, np.float32)
+    share = np.empty(terrain.grid.shape, np.float32)
     speed, direction = wind
     ceiling, box = np.float32(terrain.top.max()), _box_of(terrain.top > terrain.bed)
     falls = terminal_speed(np.array(SHELTER_DIAMETERS))
-    for slope in speed * wind_shares(falls, roughness) / falls:  # m sideways per m of fall
-        open_out = np.full(terrain.grid.shape, np.nan, np.float32)
-        _mark_open_cells(
-            terrain.bed, terrain.top, terrain.underside, np.float32(terrain.grid.spacing),
-            np.float32(-slope * math.cos(direction)), np.float32(-slope * math.sin(direction)),
-            ceiling, box, open_out,
-        )  # fmt: skip
-        total += open_out
-    return _blurred(total / len(SHELTER_DIAMETERS), SHELTER_BLUR / terrain.grid.spacing)
+    slopes = speed * wind_shares(falls, roughness) / falls  # m sideways per m of fall
+    ways = np.outer(-slopes, (math.cos(direction), math.sin(direction))).astype(np.float32)
+    _find_open_share(
+        terrain.bed, terrain.top, terrain.underside, np.float32(terrain.grid.spacing), ways,
+        ceiling, box, share,
+    )  # fmt: skip
+    return _blurred(share, SHELTER_BLUR / terrain.grid.spacing)
 
 
 def _blurred(share, deviation):
@@ -81,43 +79,47 @@ def _box_of(mask):
 
 
 @cpu_kernel
-def _mark_open_cells(bed, top, underside, spacing, dx, dy, ceiling, box, open_out):
-    """Mark the ground cells from which the way up along (dx, dy, 1) is free.
+def _find_open_share(bed, top, underside, spacing, ways, ceiling, box, share_out):
+    """Find the share of some ways up that are free, for each ground cell.
 
     Parameters
     ----------
     bed, top, underside : ndarray of shape (ny, nx), float32 [m]
     spacing : float32 [m]
-    dx, dy : float32
+    ways : ndarray of shape (n, 2), float32
         Metres sideways per metre upwards.
     ceiling : float32 [m]
         Height above which nothing stands.
     box : ndarray of shape (4,), float32
         See `_box_of`: the cells with tops. A way that passes beside them is free.
-    open_out : ndarray of shape (ny, nx), float32
-        1 where the way is free, else 0.
+    share_out : ndarray of shape (ny, nx), float32
     """
     ny, nx = bed.shape
-    step = spacing / max(abs(dx), max(abs(dy), HALF))  # at most a cell sideways, two cells up
     for j in prange(ny):
         for i in range(nx):
-            z = bed[j, i]
-            x, y = np.float32(i), np.float32(j)
-            free = ONE
-            rise = max(ceiling - z, ZERO) / spacing
-            far_x, far_y = x + dx * rise, y + dy * rise
-            through = (
-                max(x, far_x) > box[0] - BESIDE and min(x, far_x) < box[1] + BESIDE
-                and max(y, far_y) > box[2] - BESIDE and min(y, far_y) < box[3] + BESIDE
-            )  # fmt: skip
-            while through and z < ceiling:
-                k, m = int(x + HALF), int(y + HALF)
-                if k < 0 or m < 0 or k >= nx or m >= ny:
-                    break
-                if top[m, k] > bed[m, k] and z >= underside[m, k] and z <= top[m, k]:
-                    free = ZERO
-                    break
-                z += step
-                x += dx * step / spacing
-                y += dy * step / spacing
-            open_out[j, i] = free
+            free = 0
+            for n in range(ways.shape[0]):
+                dx, dy = ways[n, 0], ways[n, 1]
+                # At most a cell sideways, two cells up.
+                step = spacing / max(abs(dx), max(abs(dy), HALF))
+                z = bed[j, i]
+                x, y = np.float32(i), np.float32(j)
+                is_free = 1
+                rise = max(ceiling - z, ZERO) / spacing
+                far_x, far_y = x + dx * rise, y + dy * rise
+                through = (
+                    max(x, far_x) > box[0] - BESIDE and min(x, far_x) < box[1] + BESIDE
+                    and max(y, far_y) > box[2] - BESIDE and min(y, far_y) < box[3] + BESIDE
+                )  # fmt: skip
+                while through and z < ceiling:
+                    k, m = int(x + HALF), int(y + HALF)
+                    if k < 0 or m < 0 or k >= nx or m >= ny:
+                        break
+                    if top[m, k] > bed[m, k] and z >= underside[m, k] and z <= top[m, k]:
+                        is_free = 0
+                        break
+                    z += step
+                    x += dx * step / spacing
+                    y += dy * step / spacing
+                free += is_free
+            share_out[j, i] = np.float32(free) / np.float32(ways.shape[0])

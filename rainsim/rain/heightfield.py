@@ -90,6 +90,7 @@ class Surfaces:
     around_low: np.ndarray = field(init=False, repr=False)
     around_high: np.ndarray = field(init=False, repr=False)
     sky: float = field(init=False, repr=False)
+    changes: list = field(init=False, repr=False)  # parts that `changed` has changed
 
     def __post_init__(self):
         require_positive("surface spacing", self.spacing, "m")
@@ -111,6 +112,7 @@ class Surfaces:
         put(self, "around_low", grow_blocks(np.minimum, self.block_low))
         put(self, "around_high", grow_blocks(np.maximum, reduce_blocks(np.maximum, self.top)))
         put(self, "sky", float(self.patch_high.max()) + _CLEARANCE)
+        put(self, "changes", [])
 
     def changed(self, top, underside, parts):
         """Return these surfaces with other tops and undersides, which differ in `parts` alone.
@@ -138,6 +140,7 @@ class Surfaces:
             ("sky", float(high.max()) + _CLEARANCE),
         ):  # fmt: skip
             object.__setattr__(other, name, value)
+        object.__setattr__(other, "changes", list(parts))
         return other
 
     @property

@@ -9,11 +9,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.actors.footprint import put_on, shadows_on
+from rainsim.jit import get_num_threads, set_threads
 from rainsim.rain.exposure import computed_exposure
 from rainsim.rain.heightfield import Surfaces
 from rainsim.terrain.types import Grid
 
-AHEAD = ThreadPoolExecutor(4)  # finds what moves at times that are to come
+# Finds what moves at times that are to come; some of the threads wait for what others find. Their
+# kernels take few cores each.
+AHEAD = ThreadPoolExecutor(8, initializer=lambda: set_threads(max(1, get_num_threads() // 4)))
+FRAMES_AHEAD = 4  # of which what moves is looked for: it takes longer than a GPU draws two
 MARGIN = 1.0  # m around an actor in which it thins the rain, besides what the wind adds
 SLOWEST = 4.0  # m/s: drops of 1 mm, the slowest whose paths the exposure follows
 

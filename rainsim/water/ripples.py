@@ -15,7 +15,6 @@ import scipy.fft
 
 from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY, WATER_VISCOSITY
 from rainsim.errors import ParameterError, require_not_negative, require_positive
-from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.random import mix
 from rainsim.rain.size_distribution import drop_volume, terminal_speed
 
@@ -333,7 +332,9 @@ def ring_share(rained, spacing, reach, weight):
     # Few sizes, and of small factors: in a third of the time, and their factors are known sooner.
     around = [(margin, scipy.fft.next_fast_len(n + 2 * margin, real=True) - n - margin)
               for n in rained.shape]  # fmt: skip
-    padded = np.pad(np.asarray(rained, np.float32), around, mode="edge")
+    padded = np.asarray(rained, np.float32)
+    for axis, (n, (before, after)) in enumerate(zip(rained.shape, around, strict=True)):
+        padded = padded.take(np.arange(-before, n + after).clip(0, n - 1), axis)
     shape, spectrum = padded.shape, scipy.fft.rfft2(padded)
     del padded  # maps of millions of cells are let go as soon as they may
     lengths, shares = (tuple(a.astype(np.float32)) for a in (reach, weight))
@@ -434,16 +435,11 @@ def sheltered_rings(rings, rained, shelters, spacing, reach):
     if not shelters:
         return rings
     rings = rings.copy()
-    shares = [rained[part] for part, _ in shelters]
-    shares += [rained[part] * let_through for part, let_through in shelters]
-    found = [None] * len(shares)
-
-    def work(part):
-        found[part.start] = ring_share(shares[part.start], spacing, *reach)
-
-    in_blocks(work, len(shares), 1)
-    both = found[: len(shelters)], found[len(shelters) :]
-    for (part, _), before, after in zip(shelters, *both, strict=True):
+    for part, let_through in shelters:
+        before, after = (
+            ring_share(share, spacing, *reach)
+            for share in (rained[part], rained[part] * let_through)
+        )
         rings[part] *= np.clip(after / np.maximum(before, np.float32(1e-6)), 0, 1)
     return rings
 

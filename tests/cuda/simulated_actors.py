@@ -57,15 +57,15 @@ def test_the_map_follows_what_moves_over_it(terrain):
     assert 0.28 < footprint.highest < 1.0 and heights.fields.sky >= moving.still.sky
     shown = []
     for time in (0.0, 0.4, 9.0):
-        surfaces, shelters = moving.moment(time)
-        heights.send(surfaces, shelters)
+        surfaces = moving.at(time)
+        heights.send(surfaces)
         for name in ("top", "underside", "patch_high", "around_high", "around_low"):
             found = getattr(heights.fields, name).copy_to_host()
             np.testing.assert_array_equal(found, getattr(surfaces.height_fields(), name))
         assert heights.fields.sky >= surfaces.sky
         shown.append(heights.fields.top.copy_to_host())
     assert (shown[0] != shown[1]).any() and (shown[1] != shown[2]).any()
-    heights.send(moving.still, [])
+    heights.send(moving.still)
     np.testing.assert_array_equal(heights.fields.top.copy_to_host(), terrain.top)
 
 

@@ -43,9 +43,9 @@ class MovingHeights:
         }
         self._are_still = True
 
-    def send(self, surfaces, shelters):
-        """Send the map of `MovingSurfaces.moment`; the device must draw nothing meanwhile."""
-        found, windows = surfaces.height_fields(), [part for part, _ in shelters]
+    def send(self, surfaces):
+        """Send those of `MovingSurfaces.moment`; the device must draw nothing meanwhile."""
+        found, windows = surfaces.height_fields(), surfaces.changes
         for name, there in self._maps.items():
             there.send(getattr(found, name), windows)
         if windows or not self._are_still:

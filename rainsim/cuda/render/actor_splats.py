@@ -6,12 +6,13 @@ as for frames of the CPU; the static set stays where it is.
 
 from __future__ import annotations
 
+from concurrent.futures import wait
+
 from rainsim.cuda.particles.spray import Spray
 from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.particles.spray import flocks_seen
+from rainsim.rain.moving_surfaces import AHEAD, FRAMES_AHEAD
 from rainsim.rain.throws import KnownParcels
-
-FRAMES_AHEAD = 2  # whose map and rings are looked for on other threads
 
 
 class MovingActors:
@@ -31,7 +32,7 @@ class MovingActors:
 
     def __init__(self, frame):
         self._frame, conductor = frame, frame.conductor
-        self._parcels = KnownParcels()
+        self._parcels, self._seen = KnownParcels(), []  # the spray that is looked for
         footprints = conductor.ground.terrain.footprints
         self.heights = self.spray = None
         if footprints:
@@ -43,23 +44,27 @@ class MovingActors:
         if self.heights is None:
             return
         frame, conductor = self._frame, self._frame.conductor
-        moment, spray = conductor.ground.moving.moment(state.time), None
+        surfaces, spray = conductor.ground.moving.at(state.time), None
         if self.spray is not None:
             # Found while the device draws the frame before.
             exposure, camera = conductor.now.render.exposure, conductor.ground_camera
-            spray = *flocks_seen(
-                state.throws, state.throw_id, camera, state.time, exposure, self._parcels.flying
-            ), camera  # fmt: skip
-        frame.pending.append(lambda: self._send_moment(moment, spray))
+            throws, flying = (state.throws, state.throw_id), self._parcels.flying
+            wait(self._seen)  # the parcels are those of one time
+            self._seen = [
+                AHEAD.submit(flocks_seen, *throws, camera, state.time, exposure, flying)
+            ]
+            spray = camera, *self._seen
+        frame.pending.append(lambda: self._send_moment(surfaces, spray))
         # Those that follow, if they do, while the device draws these.
         fps = conductor.config.fps
         number = round(state.time * fps)
         conductor.look_ahead(*((number + n) / fps for n in range(1, 1 + FRAMES_AHEAD)))
 
-    def _send_moment(self, moment, spray):
+    def _send_moment(self, surfaces, spray):
         """Send the map as actors cover it, see `MovingSurfaces.moment`, and the spray."""
-        self.heights.send(*moment)
+        self.heights.send(surfaces)
         if (impacts := self._frame.passes.rain.impacts) is not None:
             impacts.list_again()
         if spray is not None:
-            self.spray.send(*spray)
+            camera, seen = spray
+            self.spray.send(*seen.result(), camera)

@@ -235,8 +235,11 @@ class DeviceFrame:
         """Queue the thinning of the film where tyres have passed, on a device's own water."""
         untouched = self.conductor.wet_scene.ground.tracked.untouched
         if self._film[0] is not untouched:
-            film = untouched[..., Wetness._fields.index("film")]
-            self._film = untouched, to_device(film)
+            film = np.ascontiguousarray(untouched[..., Wetness._fields.index("film")])
+            if self._film[1] is None:
+                self._film = None, cuda.device_array(film.shape, np.float32)
+            self._staging.send(self._film[1], film)
+            self._film = untouched, self._film[1]
         there = self._film[1], self._buffers["ground_map"]
         state.simulation.thin_film(state.step, *there, self.stream)
 

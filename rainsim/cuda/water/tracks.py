@@ -9,17 +9,21 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.cuda.driver import Staging, fetch, to_device
-from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
+from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.graph import Repeated
+from rainsim.cuda.jit import SIMULATED, cuda, cuda_device, cuda_kernel
 from rainsim.shading.wetness import Wetness
 from rainsim.terrain.table import class_table
 from rainsim.water.tracks import blur_weights, mirrored
-from rainsim.water.tyres import LEFT, SHOULDER
+from rainsim.water.tyres import LEFT as LEAST
+from rainsim.water.tyres import SHOULDER
 
 BLOCK = (8, 4) if SIMULATED else (32, 8)  # threads, a cell each
 THREADS = 8 if SIMULATED else 128
 NEVER = 2**31 - 1  # no tyre has passed
 FULL = 255
 FILM = Wetness._fields.index("film")
+TOP, LEFT, BOTTOM, RIGHT, STEP = range(5)  # places in a window
 
 
 @cuda_kernel
@@ -39,46 +43,50 @@ def mark(cells, count, step, since_out):
         since_out[row, column] = min(since_out[row, column], step)
 
 
+@cuda_device
+def _cell(window):
+    """Return row and column of a thread's cell, and whether the window has it; see `blur_down`."""
+    i, j = cuda.grid(2)
+    return j, i, window[TOP] <= j < window[BOTTOM] and window[LEFT] <= i < window[RIGHT]
+
+
 @cuda_kernel
-def blur_down(first, last, depth, since, step, holds, weights, share_out):
+def blur_down(window, depth, since, holds, weights, share_out):
     """Write how full the film is, blurred along the columns; 1 where no tyre has passed.
 
     Parameters
     ----------
-    first, last : tuple of int
-        Row and column of the first cell, and of the one behind the last.
+    window : device array of shape (5,), int64
+        First row and column, those behind the last, and the step: what tyres have passed after it
+        does not count.
     depth : device array of shape (ny, nx), float32 [m]
         Of the water.
     since : device array of shape (ny, nx), int32
         See `mark`.
-    step : int
-        What tyres have passed since does not count.
     holds : device array of shape (ny, nx), float32 [m]
         Depth of a full film.
     weights : device array of shape (n,), float64
         See `blur_weights`.
     share_out : device array of shape (ny, nx), float32
     """
-    i, j = cuda.grid(2)
-    i, j = i + first[1], j + first[0]
-    if j >= last[0] or i >= last[1]:
+    j, i, is_there = _cell(window)
+    if not is_there:
         return
     total = 0.0
     for k in range(len(weights) - 1, -len(weights), -1):
         row = mirrored(j + k, depth.shape[0])
         share = np.float32(1)
-        if since[row, i] <= step:
+        if since[row, i] <= window[STEP]:
             share = min(max(depth[row, i] / holds[row, i], np.float32(0)), share)
         total += weights[abs(k)] * share
     share_out[j, i] = total
 
 
 @cuda_kernel
-def blur_across(first, last, share, weights, tracks_out):
+def blur_across(window, share, weights, tracks_out):
     """Write how full the film is, of FULL, from what `blur_down` has written."""
-    i, j = cuda.grid(2)
-    i, j = i + first[1], j + first[0]
-    if j >= last[0] or i >= last[1]:
+    j, i, is_there = _cell(window)
+    if not is_there:
         return
     total = 0.0
     for k in range(len(weights) - 1, -len(weights), -1):
@@ -87,12 +95,12 @@ def blur_across(first, last, share, weights, tracks_out):
 
 
 @cuda_kernel
-def thin_film(first, last, tracks, film, ground_out):
+def thin_film(window, tracks, film, ground_out):
     """Thin the film of the ground under tracks; see `rainsim.shading.wetness.thin_film`.
 
     Parameters
     ----------
-    first, last : tuple of int
+    window : device array of shape (5,), int64
         See `blur_down`.
     tracks : device array of shape (ny, nx), uint8
     film : device array of shape (ny, nx), float32
@@ -100,9 +108,8 @@ def thin_film(first, last, tracks, film, ground_out):
     ground_out : device array of shape (ny, nx, 4), float32
         See `rainsim.shading.wetness.ground_wetness`.
     """
-    i, j = cuda.grid(2)
-    i, j = i + first[1], j + first[0]
-    if j < last[0] and i < last[1]:
+    j, i, is_there = _cell(window)
+    if is_there:
         ground_out[j, i, FILM] = film[j, i] * (np.float32(tracks[j, i]) / np.float32(FULL))
 
 
@@ -121,12 +128,15 @@ class Tracks:
     def __init__(self, terrain, passed, stream):
         self._stream, self._staging, self._shape = stream, Staging(stream), passed.shape
         holds = class_table().column("storage")[terrain.ground_class]
-        self._holds = to_device(np.maximum(holds, np.float32(LEFT)).astype(np.float32), stream)
+        self._holds = to_device(np.maximum(holds, np.float32(LEAST)).astype(np.float32), stream)
         self._since = to_device(np.where(passed, 0, NEVER).astype(np.int32), stream)
         self._weights = to_device(blur_weights(SHOULDER), stream)
         self._share = to_device(np.ones(passed.shape, np.float32), stream)
         self._tracks = to_device(np.full(passed.shape, FULL, np.uint8), stream)
         self._cells = to_device(np.zeros(0, np.int64), stream)
+        self._now, self._queues = FrameUniforms(stream, {"window": ((5,), np.int64)}), {}
+        ny, nx = passed.shape
+        self._grid = (-(-nx // BLOCK[0]), -(-ny // BLOCK[1])), BLOCK
 
     def mark(self, rows, columns, step):
         """Queue that tyres pass cells in a step."""
@@ -137,17 +147,18 @@ class Tracks:
         self._staging.send(self._cells[:count], rows * self._shape[1] + columns)
         mark[-(-count // THREADS), THREADS, self._stream](self._cells, count, step, self._since)
 
-    def _lay(self, window, depth, step, stream):
-        """Queue the finding of a window's tracks; return how the window's kernels are launched."""
-        rows, columns = (slice(*s.indices(n)) for s, n in zip(window, self._shape, strict=True))
-        size = columns.stop - columns.start, rows.stop - rows.start
-        grid = tuple(-(-n // side) for n, side in zip(size, BLOCK, strict=True)), BLOCK, stream
-        cells = (rows.start, columns.start), (rows.stop, columns.stop)
-        blur_down[grid](
-            *cells, depth, self._since, step, self._holds, self._weights, self._share
+    def _set(self, window, step):
+        rows, columns = (s.indices(n)[:2] for s, n in zip(window, self._shape, strict=True))
+        self._now.update(window=(rows[0], columns[0], rows[1], columns[1], step))
+
+    def _lay(self, depth, stream):
+        """Queue the finding of the tracks in a window that was set."""
+        self._now.send(stream)
+        window = self._now["window"]
+        blur_down[*self._grid, stream](
+            window, depth, self._since, self._holds, self._weights, self._share
         )
-        blur_across[grid](*cells, self._share, self._weights, self._tracks)
-        return grid, cells
+        blur_across[*self._grid, stream](window, self._share, self._weights, self._tracks)
 
     def thin(self, window, depth, step, film, ground_out, stream):
         """Queue the thinning of the film under the tracks of a step; see `thin_film`.
@@ -157,16 +168,26 @@ class Tracks:
         window : tuple of slice
             Rows and columns about all that tyres have passed.
         depth : device array of shape (ny, nx), float32 [m]
-            Of the step's water.
+            Of the step's water; one of two arrays.
         step : int
         film, ground_out : device array
+            The same for each step.
         stream : numba.cuda.stream
         """
-        grid, cells = self._lay(window, depth, step, stream)
-        thin_film[grid](*cells, self._tracks, film, ground_out)
+
+        def queue():
+            self._lay(depth, stream)
+            thin_film[*self._grid, stream](self._now["window"], self._tracks, film, ground_out)
+
+        key = tuple(map(id, (depth, film, ground_out, stream)))
+        if key not in self._queues:
+            self._queues[key] = Repeated(stream, queue)
+        self._set(window, step)
+        self._queues[key].launch()
 
     def fetch(self, window, depth, step):
         """Return the tracks of a step on the host, see `Tyres.tracks`; waits for the device."""
         cuda.synchronize()  # another stream may use the same arrays
-        self._lay(window, depth, step, self._stream)
+        self._set(window, step)
+        self._lay(depth, self._stream)
         return fetch(self._tracks, self._stream)

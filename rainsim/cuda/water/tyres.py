@@ -172,7 +172,7 @@ class Traffic:
 
         Those of the `following` times [s] are looked for beside it.
         """
-        self._heights.send(*self._moving.moment(time))
+        self._heights.send(self._moving.at(time))
         self._middle = time
         if may_run_beside():
             self._moving.look_ahead(*following)
