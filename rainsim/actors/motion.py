@@ -6,6 +6,7 @@ off and the water that its tyres throw.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -17,7 +18,7 @@ from rainsim.actors.wheels import wheels_of
 from rainsim.errors import ParameterError
 
 STILL = 1e-9  # of a pose's numbers: two that are nearer count as one pose
-REMEMBERED = 16  # times whose poses a track keeps
+REMEMBERED = 64  # times whose poses a track keeps
 COMING = 0.1  # s after the first key whose mean velocity the time before the key has
 
 
@@ -136,13 +137,32 @@ class Track:
         return {}
 
     def _pose(self, time):
-        turns = Rotation.from_quat(self.rotation, scalar_first=True)
+        turns, angles, about = self._turns
         k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
         if time <= self.time[0] or k == len(self.time) - 1:
-            return Pose(turns[k].as_matrix(), self.position[k].copy())
+            return Pose(turns[k].copy(), self.position[k].copy())
         share = (time - self.time[k]) / (self.time[k + 1] - self.time[k])
-        rotation = Slerp((0.0, 1.0), turns[[k, k + 1]])(share).as_matrix()
-        return Pose(rotation, (1 - share) * self.position[k] + share * self.position[k + 1])
+        angle = share * angles[k]
+        # The formula of Rodrigues: scipy's Slerp takes a frame of traffic some ms.
+        turn = np.eye(3) + math.sin(angle) * about[k]
+        turn += (1 - math.cos(angle)) * (about[k] @ about[k])
+        place = (1 - share) * self.position[k] + share * self.position[k + 1]
+        return Pose(turns[k] @ turn, place)
+
+    @cached_property
+    def _turns(self):
+        """The keys' rotations (k, 3, 3), and what leads from each to the next.
+
+        That is an angle [rad] (k - 1,) and, for the axis, the matrix (k - 1, 3, 3) that takes a
+        vector to its cross product with it.
+        """
+        turns = Rotation.from_quat(self.rotation, scalar_first=True)
+        steps = (turns[:-1].inv() * turns[1:]).as_rotvec()
+        angles = np.linalg.norm(steps, axis=1)
+        x, y, z = (steps / np.maximum(angles, 1e-300)[:, None]).T
+        zero = np.zeros_like(x)
+        about = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+        return turns.as_matrix(), angles, about
 
     def coming(self, time):
         """Return the `Pose` at a time [s] as `at` does; before the first key, where it came from.
