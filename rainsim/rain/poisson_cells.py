@@ -164,11 +164,8 @@ def swept_cubes(field, surfaces, start, stop, within=None):
     if within is not None:
         corner = np.maximum(corner, within[0])
         opposite = np.maximum(np.minimum(opposite, within[1]), corner)
-    drift, offset = field.velocity * (np.asarray(stop)[..., None] - start), field.velocity * start
-    first, last = field.cube_range(
-        np.append(corner, 0.0) - np.maximum(drift, 0.0) - offset,
-        np.append(opposite, 0.0) - np.minimum(drift, 0.0) - offset,
-    )
+    low, high = np.append(corner, 0.0), np.append(opposite, 0.0)
+    first, last = field.cubes_in(low, high, start, np.asarray(stop)[..., None] - start)
     return first, last, corner, opposite
 
 
