@@ -30,6 +30,7 @@ from rainsim.rain.poisson_cells import (
     class_keys,
     cube_key,
     cube_sides,
+    cubes_along,
     drop_diameter,
     drop_id,
     drop_place,
@@ -291,15 +292,9 @@ class RainField:
         first, last : ndarray of shape (CLASSES, 3), int64
             Along x, y and z; none if the last is less.
         """
-        drift, before = self.velocity * duration, self.velocity * start
-        box = np.empty((2, CLASSES, 3))
-        np.subtract(low, np.maximum(drift, 0.0), out=box[0])
-        np.subtract(high, np.minimum(drift, 0.0), out=box[1])
-        box -= before
-        box -= self._offset
-        box /= self.cube[:, None]
-        first, last = np.floor(box, out=box).astype(np.int64)
-        return first, np.maximum(last, first - 1)
+        space = self.velocity, self._offset, self.cube[:, None]
+        first, last = cubes_along(low, high, start, duration, *space)
+        return first.astype(np.int64), last.astype(np.int64)
 
 
 @dataclass(frozen=True)

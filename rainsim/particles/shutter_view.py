@@ -11,7 +11,7 @@ from rainsim.constants import HALF
 from rainsim.errors import ParameterError, require_not_negative, require_positive
 from rainsim.jit import inlined_function, lean_function, serial_kernel
 from rainsim.particles.line_raster import NEAR
-from rainsim.rain.poisson_cells import DropField
+from rainsim.rain.poisson_cells import DropField, cubes_along
 from rainsim.rain.size_distribution import CLASSES, LARGEST
 from rainsim.scene.view import corner_rays, edge_planes, finest, lens_array
 
@@ -176,12 +176,10 @@ def find_air(
             slack_out[b] = around + moves + far[b] * turns
             low = min(eye + far[b] * least, eye_end + far[b] * least_end) - around
             high = max(eye + far[b] * most, eye_end + far[b] * most_end) + around
-            drift, before = field.velocity[b, a] * view.exposure, field.velocity[b, a] * view.time
-            if a < 2:
-                before += field.frame[b, a]
-            first = math.floor((low - max(drift, 0.0) - before) / field.cube[b])
-            last = math.floor((high - min(drift, 0.0) - before) / field.cube[b])
-            first_out[b, a], last_out[b, a] = first, max(last, first - 1)
+            first_out[b, a], last_out[b, a] = cubes_along(
+                low, high, view.time, view.exposure, field.velocity[b, a],
+                field.frame[b, a] if a < 2 else 0.0, field.cube[b],
+            )  # fmt: skip
 
 
 @lean_function
@@ -197,9 +195,7 @@ def _span(rays, rotation, a):
 @lean_function
 def _component(rays, k, rotation, a):
     """Return component `a` of the k-th ray of the camera frame in the ground frame."""
-    return (
-        rays[k, 0] * rotation[0, a] + rays[k, 1] * rotation[1, a] + rays[k, 2] * rotation[2, a]
-    )
+    return rays[k, 0] * rotation[0, a] + rays[k, 1] * rotation[1, a] + rays[k, 2] * rotation[2, a]
 
 
 @lean_function
