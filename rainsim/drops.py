@@ -30,6 +30,7 @@ from rainsim.rain.poisson_cells import (
     class_keys,
     cube_key,
     cube_sides,
+    cubes_along,
     drop_diameter,
     drop_id,
     drop_place,
@@ -126,6 +127,8 @@ class Weather:
 
     def wind(self, time):
         """Wind (x, y) [m/s] at WIND_HEIGHT at a time [s], gusts and all."""
+        if self._steady and self._gusts == 0:
+            return self._winds[0]
         base = np.array([np.interp(time, self._times, self._winds[:, a]) for a in (0, 1)])
         swing = sum(
             share * math.sin(2 * math.pi * time / period + phase)
@@ -204,6 +207,8 @@ class RainField:
     velocity : ndarray of shape (CLASSES, 3), float64 [m/s]
     cube : ndarray of shape (CLASSES,), float64 [m]
         Side of the cubes in which the class is listed.
+    mean_count : ndarray of shape (CLASSES,), float64
+        Drops in one of them.
     """
 
     def __init__(
@@ -231,7 +236,8 @@ class RainField:
         self.velocity[:, 2] = -spectrum.speed
         self.cube = cube_sides()
         self._key = class_keys(self.seed)
-        self._count = poisson_tables(self.listed.density * self.cube**3)
+        self.mean_count = self.listed.density * self.cube**3
+        self._count = poisson_tables(self.mean_count)
         self._size = size_tables(self.listed)
 
     def arrays(self):
@@ -257,12 +263,11 @@ class RainField:
         low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
         if low.shape != high.shape or low.shape not in ((3,), (CLASSES, 3)):
             raise ParameterError("a box is its low and its high corner, three numbers each")
-        drift = self.velocity * time
-        first, last = self.cube_range(low - drift, high - drift)
+        first, last = self.cubes_in(low, high, time)
         low, high = low.reshape(-1, 3).min(axis=0), high.reshape(-1, 3).max(axis=0)
         tasks = slab_tasks(first, last)
         cubes = np.prod(last - first + 1, axis=1)[tasks[:, 0]] / (last - first + 1)[tasks[:, 0], 0]
-        expected = (self.listed.density * self.cube**3)[tasks[:, 0]] * cubes
+        expected = self.mean_count[tasks[:, 0]] * cubes
         values, labels, ids = run_listing(
             expected, 4, 1, _fill_box, tasks, first, last, time, low, high, self.arrays()
         )
@@ -273,12 +278,23 @@ class RainField:
             ids,
         )
 
-    def cube_range(self, low, high):
-        """Return the first and last cubes, (CLASSES, 3) int64, of co-moving boxes per class."""
-        side = self.cube[:, None]
-        first = np.floor((low - self._offset) / side).astype(np.int64)
-        last = np.floor((high - self._offset) / side).astype(np.int64)
-        return first, np.maximum(last, first - 1)
+    def cubes_in(self, low, high, start, duration=0.0):
+        """Return the first and last cubes of the drops that come through a box in an interval.
+
+        Parameters
+        ----------
+        low, high : ndarray of shape (3,) or (CLASSES, 3) [m]
+            Corners of the box, of each class if they differ.
+        start, duration : float or ndarray of shape (CLASSES, 1) [s]
+
+        Returns
+        -------
+        first, last : ndarray of shape (CLASSES, 3), int64
+            Along x, y and z; none if the last is less.
+        """
+        space = self.velocity, self._offset, self.cube[:, None]
+        first, last = cubes_along(low, high, start, duration, *space)
+        return first.astype(np.int64), last.astype(np.int64)
 
 
 @dataclass(frozen=True)

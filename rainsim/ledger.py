@@ -67,5 +67,4 @@ class Ledger:
 
     def as_dict(self) -> dict:
         """Return all volumes [m3] and the residual (a share) by name."""
-        volumes = {name: getattr(self, name) for name in (*SUPPLY, *WHEREABOUTS)}
-        return {**volumes, "residual": self.residual}
+        return {**vars(self), "residual": self.residual}

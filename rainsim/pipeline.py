@@ -18,7 +18,7 @@ from rainsim.render.labels import without_flow
 from rainsim.render.leaving import leaving_notes
 from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
-from rainsim.render.shutter import PathMotion, is_too_fast
+from rainsim.render.shutter import PathMotion
 from rainsim.render.sunken import sunken_notes
 from rainsim.render.window_ahead import Windows
 from rainsim.simulation import simulate, widened
@@ -370,7 +370,7 @@ class SequenceRenderer:
         self._scene, self._terrain, self._cameras = scene, terrain, cameras
         self._config, self._names, self._backend = config, names, backend
         self._path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
-        self._along = PathMotion(self._path)
+        self._along = PathMotion(self._path, config.fps)
         self._renderer, self._notes = None, ()
 
     def render(self, states):
@@ -385,9 +385,8 @@ class SequenceRenderer:
                 if self._scene.pages is not None and len(self._cameras) > 1:
                     ahead = min(state.index + READ_AHEAD, len(self._cameras) - 1)
                     self._renderer.conductor.read_ahead(self._cameras[ahead])
-                motion = along.moves[index], along.turns[index]
-                cuts.append(is_too_fast(motion, config.fps))
-                yield self._cameras[index], state, along.end(index, exposure, config.fps)
+                cuts.append(along.cuts[index])
+                yield self._cameras[index], state, along.end(index, exposure)
 
         if self._renderer is None:
             self._renderer = self.make()
@@ -403,7 +402,9 @@ class SequenceRenderer:
             notes, self._notes = self._notes, ()
             if cuts.popleft():
                 report = without_flow(report)
-            yield picture, replace(report, notes=(*notes, *report.notes))
+            if notes:
+                report = replace(report, notes=(*notes, *report.notes))
+            yield picture, report
 
     def hold(self, index):
         """Read the chunks that the camera of the frame `index` needs now, see `Conductor.hold`."""

@@ -380,11 +380,7 @@ class Impacts:
 
     def _set(self, now, field, start, stop, smallest, slot):
         """Set the interval of a `Listed`."""
-        (corner, opposite), duration = self._corners, stop - start
-        drift, offset = field.velocity * duration, field.velocity * start
-        first, last = field.cube_range(
-            corner - np.maximum(drift, 0.0) - offset, opposite - np.minimum(drift, 0.0) - offset
-        )
+        first, last = field.cubes_in(*self._corners, start, stop - start)
         sides = np.maximum(last - first + 1, 0)
         columns = sides[:, 0] * sides[:, 1] * (field.spectrum.edges[1:] > smallest)
         now.host["counts"][1:] = columns.cumsum()

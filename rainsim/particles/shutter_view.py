@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from rainsim.constants import HALF
 from rainsim.errors import ParameterError, require_not_negative, require_positive
-from rainsim.jit import inlined_function, lean_function
+from rainsim.jit import inlined_function, lean_function, serial_kernel
 from rainsim.particles.line_raster import NEAR
+from rainsim.rain.poisson_cells import DropField, cubes_along
 from rainsim.rain.size_distribution import CLASSES, LARGEST
 from rainsim.scene.view import corner_rays, edge_planes, finest, lens_array
 
@@ -91,8 +93,8 @@ class SeenAir(NamedTuple):
     far : ndarray of shape (CLASSES,), float32 [m]
         Depth along the view axis at which the drawn drops of the class end.
     slack : ndarray of shape (CLASSES,), float64 [m]
-        How far what the camera sees up to `far` moves while the shutter is open, and how far a
-        drop's image reaches around its middle.
+        At least how far what the camera sees up to `far` moves while the shutter is open, and how
+        far a drop's image reaches around its middle.
     """
 
     first: np.ndarray
@@ -101,7 +103,7 @@ class SeenAir(NamedTuple):
     slack: np.ndarray
 
 
-def seen_air(field, camera, view, far, camera_end=None, aperture=0.0, focus=np.inf):
+def seen_air(field, camera, view, far, aperture=0.0, focus=np.inf):
     """Return the `SeenAir` of a `ShutterView`; arguments as `streaks.draw_streaks` has them.
 
     Raises
@@ -115,36 +117,11 @@ def seen_air(field, camera, view, far, camera_end=None, aperture=0.0, focus=np.i
     for value in {float(far.min()), float(far.max())}:
         require_positive("far", value, "m")
     far = np.full(CLASSES, far) if far.ndim == 0 else far
-    low, high, slack = _view_boxes(
-        camera, camera if camera_end is None else camera_end, far, aperture, focus
-    )
-    motion, offset = field.velocity * view.exposure, field.velocity * view.time
-    first, last = field.cube_range(
-        low - np.maximum(motion, 0) - offset, high - np.minimum(motion, 0) - offset
-    )
+    first, last = np.empty((CLASSES, 3), np.int64), np.empty((CLASSES, 3), np.int64)
+    slack = np.empty(CLASSES)
+    lens = float(aperture), float(focus)
+    find_air(corner_rays(camera), view, far, *lens, field.arrays(), first, last, slack)
     return SeenAir(first, last, far.astype(np.float32), slack)
-
-
-def _view_boxes(camera, camera_end, far, aperture, focus):
-    """Return low and high corners, (CLASSES, 3) [m], of the space both cameras see up to `far`.
-
-    And `SeenAir.slack`.
-    """
-    rays = np.concatenate([np.zeros((1, 3)), corner_rays(camera)])
-    cameras = (camera,) if camera_end is camera else (camera, camera_end)
-    worlds = np.empty((len(far), 5 * len(cameras), 3))
-    for n, c in enumerate(cameras):
-        # Rows times R is R transposed times columns: world_from_camera.
-        world = worlds[:, 5 * n : 5 * n + 5]
-        np.multiply(far[:, None, None], rays @ c.camera_from_world[:3, :3], out=world)
-        world += c.position
-    around = LARGEST + aperture * np.maximum(far / focus, 1.0)  # how far a drop's image reaches
-    slack = around
-    if camera_end is not camera:
-        apart = worlds[:, :5] - worlds[:, 5:]
-        slack = np.sqrt((apart * apart).sum(axis=2).max(axis=1)) + around
-    around = around[:, None]
-    return worlds.min(axis=1) - around, worlds.max(axis=1) + around, slack
 
 
 def footprint(camera, reach, margin=0.0):
@@ -160,6 +137,65 @@ def footprint(camera, reach, margin=0.0):
 
 
 # ---- formulas for kernels
+
+
+@serial_kernel
+def find_air(
+    rays, view: ShutterView, far, aperture, focus, field: DropField, first_out, last_out, slack_out
+):  # fmt: skip
+    """Write the `SeenAir` of a view.
+
+    Parameters
+    ----------
+    rays : ndarray of shape (4, 3), float64
+        The `corner_rays` of its picture.
+    view : ShutterView
+    far : ndarray of shape (CLASSES,), float64 [m]
+    aperture, focus : float [m]
+    field : DropField
+    first_out, last_out, slack_out : ndarray
+        See `SeenAir`.
+    """
+    moves, turns = 0.0, 0.0
+    for a in range(3):
+        moves += (view.eye_end[a] - view.eye[a]) ** 2
+    for k in range(4):
+        turn = 0.0
+        for a in range(3):
+            turn += (
+                _component(rays, k, view.rotation_end, a) - _component(rays, k, view.rotation, a)
+            ) ** 2
+        turns = max(turns, turn)
+    moves, turns = math.sqrt(moves), math.sqrt(turns)
+    for a in range(3):
+        least, most = _span(rays, view.rotation, a)
+        least_end, most_end = _span(rays, view.rotation_end, a)
+        eye, eye_end = view.eye[a], view.eye_end[a]
+        for b in range(CLASSES):
+            around = LARGEST + aperture * max(far[b] / focus, 1.0)  # of a drop's image
+            slack_out[b] = around + moves + far[b] * turns
+            low = min(eye + far[b] * least, eye_end + far[b] * least_end) - around
+            high = max(eye + far[b] * most, eye_end + far[b] * most_end) + around
+            first_out[b, a], last_out[b, a] = cubes_along(
+                low, high, view.time, view.exposure, field.velocity[b, a],
+                field.frame[b, a] if a < 2 else 0.0, field.cube[b],
+            )  # fmt: skip
+
+
+@lean_function
+def _span(rays, rotation, a):
+    """Return the least and the largest of 0 and component `a` of rays, in the ground frame."""
+    least, most = 0.0, 0.0
+    for k in range(4):
+        component = _component(rays, k, rotation, a)
+        least, most = min(least, component), max(most, component)
+    return least, most
+
+
+@lean_function
+def _component(rays, k, rotation, a):
+    """Return component `a` of the k-th ray of the camera frame in the ground frame."""
+    return rays[k, 0] * rotation[0, a] + rays[k, 1] * rotation[1, a] + rays[k, 2] * rotation[2, a]
 
 
 @lean_function

@@ -126,9 +126,8 @@ def draw_streaks(
     the longer way through the air.
     """
     require_pictures(camera, depth, alpha_out)
-    moving = camera_end, aperture, focus
-    view = shutter_view(camera, time, exposure, *moving)
-    air = seen_air(field, camera, view, far, *moving)
+    view = shutter_view(camera, time, exposure, camera_end, aperture, focus)
+    air = seen_air(field, camera, view, far, aperture, focus)
     surfaces = _OPEN if surfaces is None else surfaces
     _draw_field(
         slab_tasks(air.first, air.last), air, field.arrays(), surfaces.height_fields(), view,

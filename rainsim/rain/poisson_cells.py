@@ -128,6 +128,30 @@ def drop_diameter(word, size_class, field):
     return size[size_class, 0] - np.log(1 - chance * size[size_class, 1]) * size[size_class, 2]
 
 
+@lean_function
+def cubes_along(low, high, start, duration, velocity, offset, side):
+    """Return the first and last cube along an axis whose drops come by in an interval, float64.
+
+    Numbers, or arrays of a shape.
+
+    Parameters
+    ----------
+    low, high : float [m]
+        Where the drops come by.
+    start, duration : float [s]
+    velocity : float [m/s]
+        Of the drops.
+    offset : float [m]
+        Of the co-moving frame.
+    side : float [m]
+        Of the cubes.
+    """
+    drift, before = velocity * duration, velocity * start
+    first = np.floor((low - np.maximum(drift, 0.0) - before - offset) / side)
+    last = np.floor((high - np.minimum(drift, 0.0) - before - offset) / side)
+    return first, np.maximum(last, first - 1)
+
+
 def slab_tasks(first, last):
     """Return the work items (class, i), int64, of cube ranges, shuffled to balance the threads."""
     counts = np.maximum(last[:, 0] - first[:, 0] + 1, 0)
@@ -164,11 +188,8 @@ def swept_cubes(field, surfaces, start, stop, within=None):
     if within is not None:
         corner = np.maximum(corner, within[0])
         opposite = np.maximum(np.minimum(opposite, within[1]), corner)
-    drift, offset = field.velocity * (np.asarray(stop)[..., None] - start), field.velocity * start
-    first, last = field.cube_range(
-        np.append(corner, 0.0) - np.maximum(drift, 0.0) - offset,
-        np.append(opposite, 0.0) - np.minimum(drift, 0.0) - offset,
-    )
+    low, high = np.append(corner, 0.0), np.append(opposite, 0.0)
+    first, last = field.cubes_in(low, high, start, np.asarray(stop)[..., None] - start)
     return first, last, corner, opposite
 
 

@@ -120,6 +120,7 @@ class Conductor:
         self._air = environment.horizon_radiance(light.day)
         self._everywhere = drop_radiance.mean_radiance(light.gloss)
         self.now, self.brightness = config.at(0.0), 1.0
+        self._lit_for = self._sunlight = None  # the settings that brightness and sunlight are of
         film = WetGroundMirror(terrain, config.render)
         self.ground = GroundTables(terrain, None, None, None, film)
         self.take_settings(config)
@@ -166,7 +167,7 @@ class Conductor:
         put("mirror_step", mirror_step(self.methods.mirror_size, *rain, lens))
         put("field", self.field(state.time))
         put("paving", scene.shading.paving)
-        put("sun", sky.sunlight(self._sun, render.cloudiness))
+        put("sun", self._sunlight)
         put("everywhere", self._everywhere)
         put("air", self._air)
         put("brightness", self.brightness)
@@ -233,10 +234,13 @@ class Conductor:
 
     def set_time(self, time):
         """Take over the settings and the places of what moves of a time [s]."""
-        self.now = self.config.at(time)
-        metered = math.exp(np.interp(time, *self._set_up["metered"]))
-        self.brightness = self.now.render.brightness * metered * 2 ** exposure_bias(self.now)
-        self.wet_scene.set_time(self.now)
+        now = self.now = self.config.at(time)
+        if now is not self._lit_for:  # without keyframes all frames have the same
+            metered = math.exp(np.interp(time, *self._set_up["metered"]))
+            self.brightness = now.render.brightness * metered * 2 ** exposure_bias(now)
+            self._sunlight = sky.sunlight(self._sun, now.render.cloudiness)
+            self._lit_for = now
+        self.wet_scene.set_time(now)
         self.wet_scene.move_actors(time)
 
     def take_settings(self, config):
@@ -245,7 +249,7 @@ class Conductor:
         Exact but for settings that touch ground, water or light, see `config.declare.Setting`:
         until a renderer with those is made, pictures are an approximation.
         """
-        self.config, self.weather = config, Weather(config)
+        self.config, self.weather, self._lit_for = config, Weather(config), None
         self.take_methods(config.render)
         put, rain, render = self._set_up.put, self.weather.mean_rate, config.render
         put("terrain", self.ground.terrain)

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rainsim.scene.types import pose_at
+
 FASTEST = 60.0  # m/s; a camera that moves faster from frame to frame was cut to another place
 TURNS_AT_ONCE = 64  # frames
 FASTEST_TURN = 2 * np.pi  # rad/s; and one that turns faster
@@ -66,33 +68,37 @@ class PathMotion:
     ----------
     cameras : sequence of Camera
         One per frame, in the ground frame, in metres; one alone stands still.
+    fps : float [1/s]
 
     Attributes
     ----------
-    moves, turns : ndarray of shape (n, 3), float64
-        See `motions`.
+    cuts : list of bool
+        Whether each frame ends in a cut, see `is_too_fast`.
     """
 
-    def __init__(self, cameras):
-        self._cameras = cameras
-        self.moves, self.turns = motions(cameras)
+    def __init__(self, cameras, fps):
+        self._cameras, self._fps = cameras, fps
+        self._moves, self._turns = motions(cameras)
+        each = list(zip(self._moves, self._turns, strict=True))
+        self.cuts = [is_too_fast(motion, fps) for motion in each]
+        self._stays = [cut or _is_still(a) for a, cut in zip(each, self.cuts, strict=True)]
         self._share, self._kept = None, {}
 
-    def end(self, index, exposure, fps):
+    def end(self, index, exposure):
         """Return the camera at the end of a frame's exposure, as `shutter_end` does.
 
         The turns of many frames are computed at once: one by one they would take 0.1 ms of each.
         """
-        motion, share = (self.moves[index], self.turns[index]), exposure * fps
-        if _is_still(motion) or is_too_fast(motion, fps):
+        if self._stays[index]:
             return None
+        share = exposure * self._fps
         if share != self._share:
             self._share, self._kept = share, {}
         block, place = divmod(index, TURNS_AT_ONCE)
         if block not in self._kept:
-            turns = self.turns[block * TURNS_AT_ONCE : (block + 1) * TURNS_AT_ONCE]
+            turns = self._turns[block * TURNS_AT_ONCE : (block + 1) * TURNS_AT_ONCE]
             self._kept = {block: Rotation.from_rotvec(share * turns).as_matrix()}
-        return _posed(self._cameras[index], share * motion[0], self._kept[block][place])
+        return _posed(self._cameras[index], share * self._moves[index], self._kept[block][place])
 
 
 def _is_still(motion):
@@ -107,10 +113,8 @@ def moved(camera, move, turn):
 
 def _posed(camera, move, turn):
     """Return a camera moved by `move` and turned by a matrix (3, 3)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = turn @ camera.camera_from_world[:3, :3]
-    matrix[:3, 3] = -matrix[:3, :3] @ (camera.position + move)
-    return camera.posed(matrix)
+    rotation = turn @ camera.camera_from_world[:3, :3]
+    return camera.posed(pose_at(rotation, camera.position + move))
 
 
 def motion_of(cameras, index, fps):

@@ -74,7 +74,7 @@ class WetGround:
         ----------
         tracks : ndarray of shape (ny, nx) or (0, 0), uint8
         """
-        if np.array_equal(tracks, self._tracks):
+        if tracks is self._tracks or np.array_equal(tracks, self._tracks):
             return False
         self._tracks = tracks
         self._lay_tracks(self.tracked.untouched)

@@ -64,11 +64,3 @@ class Entry:
         """Return the InputError for a value that breaks a rule."""
         value = "missing" if self.get(key) is None else shown(self.get(key))
         return InputError(f"{self.label}: {key} is {value}; it must be {rule}; correct the file")
-
-
-def pose_at(rotation, position):
-    """Return camera_from_world of the camera at `position` whose axes are the rows `rotation`."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    matrix[:3, 3] = -rotation @ position
-    return matrix

@@ -16,8 +16,9 @@ import numpy as np
 
 from rainsim.errors import InputError
 from rainsim.io.files import json_number, write_json
-from rainsim.scene.camera_entry import FLIP, Entry, pose_at
+from rainsim.scene.camera_entry import FLIP, Entry
 from rainsim.scene.camera_rule import focal_length
+from rainsim.scene.types import pose_at
 
 KINDS = ("perspective",)  # of `camera_type`: others are no pinhole cameras
 MOST_SECONDS = 86_400.0  # between two keyframes, and of rain

@@ -15,7 +15,7 @@ import numpy as np
 
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.files import json_number, number_array, printable_name, read_json, write_json
-from rainsim.scene.camera_entry import FLIP, Entry, pose_at
+from rainsim.scene.camera_entry import FLIP, Entry
 from rainsim.scene.camera_path import is_camera_path, path_cameras, path_moments
 from rainsim.scene.camera_rule import (
     LEAST_FOV,
@@ -28,7 +28,7 @@ from rainsim.scene.camera_rule import (
 )
 from rainsim.scene.colmap import MODEL_FILES, read_model
 from rainsim.scene.picture_size import with_size
-from rainsim.scene.types import Camera
+from rainsim.scene.types import Camera, pose_at
 
 JSON_FILES = ("cameras.json", "transforms.json")  # looked for in a folder, in this order
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
@@ -394,6 +394,12 @@ def mirrored_camera(camera, frame, level):
     The mirrored camera sees, pixel for pixel, what level water mirrors to the camera; its matrix
     holds a reflection. What lies below the water is cut away.
     """
+    plane, flip = mirror_at(frame, level)
+    return plane, camera.posed(camera.camera_from_world @ flip)
+
+
+def mirror_at(frame, level):
+    """Return plane (4,) and reflection (4, 4) of `mirrored_camera`, in the capture frame."""
     up = frame.up
     height = (level - frame.translation[2]) / frame.meters_per_unit  # along up, capture units
     flip = np.eye(4)
@@ -401,7 +407,7 @@ def mirrored_camera(camera, frame, level):
     flip[:3, 3] = 2 * height * up
     plane = np.empty(4)
     plane[:3], plane[3] = up, height + MIRROR_CLEARANCE / frame.meters_per_unit
-    return plane, camera.posed(camera.camera_from_world @ flip)
+    return plane, flip
 
 
 def cropped(camera, window):

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.errors import InputError, ParameterError, counted, shown
-from rainsim.scene.camera_entry import FLIP, Entry, pose_at
+from rainsim.scene.camera_entry import FLIP, Entry
+from rainsim.scene.types import pose_at
 
 NOMINAL = 1920  # px, width of the pictures of files that give their shape alone
 SHAPE = 1.5  # width over height where a file does not even give that

@@ -28,11 +28,10 @@ def near_drops(field, centre, reach, time, surfaces):
     surfaces blocked before is not there.
     """
     centre, around = np.asarray(centre, np.float64), np.asarray(reach, np.float64)[:, None]
-    drift = field.velocity * time
-    first, last = field.cube_range(centre - around - drift, centre + around - drift)
+    first, last = field.cubes_in(centre - around, centre + around, time)
     tasks = slab_tasks(first, last)
     cubes = np.prod(last - first + 1, axis=1)[tasks[:, 0]] / (last - first + 1)[tasks[:, 0], 0]
-    expected = (field.listed.density * field.cube**3)[tasks[:, 0]] * cubes
+    expected = field.mean_count[tasks[:, 0]] * cubes
     values, labels, ids = run_listing(
         expected, 4, 1, _fill_near, tasks, first, last, float(time), centre, around[:, 0],
         field.arrays(), surfaces.height_fields(),

@@ -16,7 +16,7 @@ from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import device_function, inlined_function
 from rainsim.numerics.approximations import angle
 from rainsim.numerics.interpolation import four_colors
-from rainsim.scene.types import Camera
+from rainsim.scene.types import Camera, pose_at
 from rainsim.scene.view import image_point
 
 ROWS, COLUMNS = 128, 256
@@ -103,10 +103,8 @@ def _face(axis, sign, position, side):
     forward[axis] = sign
     up = np.array([0.0, 0.0, 1.0]) if axis != 2 else np.array([1.0, 0.0, 0.0])
     right = np.cross(forward, up)
-    matrix = np.eye(4)
-    matrix[:3, :3] = (right, -up, forward)
-    matrix[:3, 3] = -matrix[:3, :3] @ position
-    return Camera(side, side, *(4 * [side / 2]), matrix)
+    pose = pose_at(np.array([right, -up, forward]), position)
+    return Camera(side, side, *(4 * [side / 2]), pose)
 
 
 @device_function

@@ -34,8 +34,8 @@ from rainsim.jit import (
 from rainsim.numerics.interpolation import four_colors
 from rainsim.numerics.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.raster import select
-from rainsim.scene.types import Camera
-from rainsim.scene.view import View, pixel_ray, slopes
+from rainsim.scene.types import Camera, pose_at
+from rainsim.scene.view import View, kept_for_lens, pixel_ray, rays
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import LAWS
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met, ground_slopes
@@ -59,6 +59,7 @@ _EDGES = (
     np.concatenate([_SIDE, _SIDE, 0 * _SIDE, 0 * _SIDE + 1]),
     np.concatenate([0 * _SIDE, 0 * _SIDE + 1, _SIDE, _SIDE]),
 )
+LEAST_AHEAD = 1e-9  # of rays that are scaled to 1 along the view axis
 FINE = 0.04  # m, side of cells in which finer splats are one: a pixel at 6 m
 STANDING = 0.04  # m above the ground of the map: splats that are lower are ground
 STANDING_OUTSIDE = 0.15  # m above the ground plane, off the map
@@ -123,28 +124,29 @@ def level_camera(view):
     view : Camera
         In the ground frame. The level one has at most RESOLUTION pixels per unit of tangent.
     """
-    turn = view.camera_from_world[:3, :3].T
-    u, v = _EDGES[0] * view.width, _EDGES[1] * view.height
-    x, y = slopes(view, u, v)
-    eastward, northward, upward = turn[:, :1] * x + turn[:, 1:2] * y + turn[:, 2:]
-    e, n, _ = view.camera_from_world[2, :3]
+    turn = view.camera_from_world[:3, :3]
+    e, n, _ = turn[2].tolist()
     if math.hypot(e, n) < 1e-3:  # straight down: any direction
-        e, n = -turn[0, 1], -turn[1, 1]
+        e, n, _ = (-turn[1]).tolist()
     e, n = e / math.hypot(e, n), n / math.hypot(e, n)
-    low = upward < 0
-    ahead, aside = (eastward * e + northward * n)[low], (eastward * n - northward * e)[low]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        tangent = np.where(ahead > 0, aside / ahead, np.sign(aside) * np.inf)
+    axes = np.array([(n, -e, 0.0), (0.0, 0.0, -1.0), (e, n, 0.0)])
+    right, down, ahead = axes @ turn.T @ _edge_rays(view)
+    # Rays that run backward lie beyond all tangents.
+    tangent = (right / np.maximum(ahead, LEAST_AHEAD))[down > 0]
     least, largest = (tangent.min(), tangent.max()) if len(tangent) else (0.0, 0.0)
     left, rightmost = (
         min(max(float(t), -MOST_ASIDE), MOST_ASIDE) for t in (least - MARGIN, largest + MARGIN)
     )
     scale = min(RESOLUTION, view.fx)
     width, height = math.ceil((rightmost - left) * scale), math.ceil((ABOVE + MOST_UP) * scale)
-    matrix = np.eye(4)
-    matrix[:3, :3] = (n, -e, 0.0), (0.0, 0.0, -1.0), (e, n, 0.0)
-    matrix[:3, 3] = -matrix[:3, :3] @ view.position
-    return Camera(width, height, scale, scale, -left * scale, ABOVE * scale, matrix)
+    pose = pose_at(axes, view.position)
+    return Camera(width, height, scale, scale, -left * scale, ABOVE * scale, pose)
+
+
+@kept_for_lens
+def _edge_rays(camera):
+    """Return the `rays` through places along a picture's edges, (3, n)."""
+    return rays(camera, _EDGES[0] * camera.width, _EDGES[1] * camera.height).T
 
 
 @cpu_kernel

@@ -15,7 +15,7 @@ from skimage.morphology import remove_small_objects
 from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
 from rainsim.lod.held_parts import scene_over
-from rainsim.scene.types import Camera
+from rainsim.scene.types import Camera, pose_at
 from rainsim.surface.kept_surface import kept_surface
 from rainsim.surface.sweep import ground_sweep
 from rainsim.terrain import bed as bedding
@@ -334,10 +334,8 @@ class _Cloud:
             eye = (grid.origin[0], grid.origin[1] + grid.size[1], self.top)
             axes = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])
             flip, sign = slice(None, None, -1), -1  # pictures begin in the north
-        matrix = np.eye(4)
-        matrix[:3, :3] = axes
-        matrix[:3, 3] = -axes @ eye
-        camera = Camera(nx, ny, 1 / spacing, 1 / spacing, 0.0, 0.0, matrix, orthographic=True)
+        scale, pose = 1 / spacing, pose_at(axes, eye)
+        camera = Camera(nx, ny, scale, scale, 0.0, 0.0, pose, orthographic=True)
         prepared = raster.prepare(self.splats.take(which))
         layers = raster.rasterize(prepared, self.frame.camera_in_capture(camera), near=0.0)
         height = eye[2] + sign * layers.depth * self.frame.meters_per_unit

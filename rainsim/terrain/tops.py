@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from rainsim import raster
 from rainsim.errors import counted
-from rainsim.scene.types import Camera
+from rainsim.scene.types import Camera, pose_at
 from rainsim.terrain.types import NO_TOPS, Grid, Tops
 
 LOWEST, HIGHEST = 0.3, 1.5  # m over the bed: lower things are wetted as ground
@@ -252,10 +252,8 @@ def seen_from_above(tops, k, grid, scene):
     splats = replace(scene.splats, sh=scene.splats.sh[:, :1]).take(near)
     eye = (grid.origin[0], grid.origin[1] + grid.size[1], float(tops.surface[k, 0]) + 1.0)
     axes = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])  # pictures begin in the north
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = axes, -axes @ eye
-    scale = 1 / grid.spacing
-    camera = Camera(grid.shape[1], grid.shape[0], scale, scale, 0.0, 0.0, matrix, orthographic=True)
+    scale, pose = 1 / grid.spacing, pose_at(axes, eye)
+    camera = Camera(*grid.shape[::-1], scale, scale, 0.0, 0.0, pose, orthographic=True)
     seen = raster.rasterize(raster.prepare(splats), frame.camera_in_capture(camera), near=0.0)
     with np.errstate(invalid="ignore"):
         height = eye[2] - seen.plane_depth * frame.meters_per_unit

@@ -11,9 +11,8 @@ from rainsim.particles.line_raster import NEAR
 from rainsim.particles.splash_pass import draw_splashes
 from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.pipeline import extract_terrain, simulate
-from rainsim.scene.camera_entry import pose_at
 from rainsim.scene.shot import read_shot
-from rainsim.scene.types import Camera
+from rainsim.scene.types import Camera, pose_at
 from rainsim.simulation import surfaces_of
 from rainsim.water.puddles import WET
 from rainsim.world import falling

@@ -346,15 +346,14 @@ class Streaks:
     ):
         """Set rain, camera and shutter of the next picture; arguments as in `draw_streaks`."""
         require_pictures(camera, self.alpha, self.alpha)
-        moving = camera_end, aperture, focus
-        view = shutter_view(camera, time, exposure, *moving)
-        air = seen_air(field, camera, view, far, *moving)
+        view = shutter_view(camera, time, exposure, camera_end, aperture, focus)
+        air = seen_air(field, camera, view, far, aperture, focus)
         sides = np.maximum(air.last - air.first + 1, 0)
         cubes = sides[:, 0] * sides[:, 1] * sides[:, 2] * (air.far > NEAR)
         if field is not self._listed:
             self._listed = field
             self.now.update(**field.arrays()._asdict())
-        drops = float(cubes @ (field.listed.density * field.cube**3))
+        drops = float(cubes @ field.mean_count)
         wanted = drops + 6 * math.sqrt(drops)
         if wanted > MOST_ROOM:
             raise ParameterError(

@@ -28,7 +28,7 @@ from rainsim.cuda.splatting import project
 from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
 from rainsim.reflection.mirror_choice import merged_cells
 from rainsim.reflection.water_pass import WINDOW_SLOPE, WINDOW_STEP, mirror_window
-from rainsim.scene.cameras import cropped, mirrored_camera
+from rainsim.scene.cameras import cropped, mirror_at, mirrored_camera
 from rainsim.splatting.project import FRUSTUM_MARGIN
 
 SQUARE_CELLS = 1 << (COARSEST - 1)  # of half the resolution in one of the coarsest
@@ -211,6 +211,9 @@ class Mirrors:
         self.arrays = MirrorArrays(
             cuda.to_device(empty), cuda.to_device(window), self._now["turn"], None, None, None
         )
+        ground = frame.conductor.wet_scene.frame
+        self._plane, self._flip = mirror_at(ground, 0.0)
+        self._rise = 2 / ground.meters_per_unit * ground.up
         self._forked = Event()
         self._passes = []  # `MirrorPass`
         self._mirrored = None  # what the rasterizers are updated with
@@ -244,18 +247,17 @@ class Mirrors:
         if self.chunks is not None and self._passes:
             self._choose_chunks(camera, capture, step)
         frame, largest = capture.frame, largest_window(camera)
-        plane, mirrored = mirrored_camera(camera, frame, 0.0)
+        plane, mirrored = self._plane, camera.posed(camera.camera_from_world @ self._flip)
         mirrored = replace(mirrored, width=largest[1], height=largest[0])
-        turn, up = mirrored.camera_from_world[:3, :3], frame.rotation[2]
+        turn = mirrored.camera_from_world[:3, :3]
         numbers = self._now.host["camera"]
         numbers[0] = self._frame.rasterizer.numbers_of(
             mirrored, capture.near, plane=plane, detail=merged_cells(capture.merge, step)
         )
         # A metre higher the mirrored camera is two metres higher, and the plane one.
-        more = 1.0 / frame.meters_per_unit
-        numbers[1, project.VIEW + 3 : project.EYE : 4] = turn @ (-2 * more * up)
-        numbers[1, project.EYE : project.EYE + 3] = 0 if camera.orthographic else 2 * more * up
-        numbers[1, project.PLANE + 3] = more
+        numbers[1, project.VIEW + 3 : project.EYE : 4] = turn @ -self._rise
+        numbers[1, project.EYE : project.EYE + 3] = 0 if camera.orthographic else self._rise
+        numbers[1, project.PLANE + 3] = 1.0 / frame.meters_per_unit
         self._now.host["step"][0] = step
         self._now.host["turn"][...] = frame.rotation @ turn.T
         self._mirrored = mirrored, capture.near, plane

@@ -22,8 +22,8 @@ from rainsim.cuda.shading.wet_pass import BLOCK, blocks, grade_layers, pixel_gri
 from rainsim.cuda.splatting.merged import PosedActors
 from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.numerics.ripmap import LEVELS
-from rainsim.scene.cameras import mirrored_camera
-from rainsim.scene.view import view_from, view_of
+from rainsim.scene.cameras import mirror_at
+from rainsim.scene.view import view_from
 from rainsim.shading.microfacet import LOBE
 from rainsim.shading.wet_ground_mirror import (
     ABOVE,
@@ -43,6 +43,7 @@ from rainsim.shading.wet_ground_mirror import (
 )
 from rainsim.splatting.prepared import prepare
 
+UPSIDE_DOWN = np.array([1.0, 1.0, -1.0])
 COARSEST = 1 << (LEVELS - 1)
 
 
@@ -167,6 +168,7 @@ class LevelView:
             "turn": ((3, 3), np.float32), "eye": ((3,), np.float32), "forward": ((2,), np.float32),
         })  # fmt: skip
         self._room, self._horizon, self._posed = None, 0, None
+        _, self._flip = mirror_at(frame.conductor.wet_scene.frame, 0.0)
         self._allocate(1, 1)
         if drawn:
             paged = frame.conductor.wet_scene.capture.paged
@@ -258,13 +260,17 @@ class LevelView:
                 fine, room = self.lamps.fine_camera(level)
                 self.lamps.fine.rasterizer.update(self._mirrored(fine), near, room=room)
                 self._fine_horizon = round(fine.cy)
-        view = view_of(scene.frame.camera_in_ground(mirrored))
-        self._uniforms.update(turn=view.ground_from_camera, eye=view.eye, forward=level.forward[:2])
+        # The mirrored camera in the ground's frame: z points the other way.
+        self._uniforms.update(
+            turn=level.camera_from_world[:3, :3].T * UPSIDE_DOWN[:, None],
+            eye=level.position * UPSIDE_DOWN, forward=level.camera_from_world[2, :2],
+        )  # fmt: skip
 
     def _mirrored(self, level):
         """Return the camera of the capture's frame mirrored at the ground plane."""
         frame = self._frame.conductor.wet_scene.frame
-        return mirrored_camera(frame.camera_in_capture(level), frame, 0.0)[1]
+        camera = frame.camera_in_capture(level)
+        return camera.posed(camera.camera_from_world @ self._flip)
 
     def draw(self, stream):
         """Queue the grading of the picture, whose splats are drawn, and its ripmap."""
