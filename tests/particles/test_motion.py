@@ -9,9 +9,12 @@ from scipy.spatial.transform import Rotation
 from rainsim.drops import RainField, RainSpectrum
 from rainsim.errors import ParameterError
 from rainsim.particles.line_raster import NEAR
+from rainsim.particles.shutter_view import seen_air, shutter_view
 from rainsim.particles.streaks import draw_streaks
-from rainsim.render.shutter import shutter_end
+from rainsim.rain.size_distribution import CLASSES, LARGEST
+from rainsim.render.shutter import PathMotion, is_too_fast, motion_to_next, shutter_end
 from rainsim.scene.types import Camera
+from rainsim.scene.view import corner_rays, edge_planes
 
 FOCAL = 500.0
 DRY = RainField(RainSpectrum(0.0))
@@ -60,6 +63,67 @@ def test_a_cut_is_not_a_motion():
     assert shutter_end(far, 0, 1 / 60, 4.0) is not None
     around = [looking(), looking(yaw=2.0)]
     assert shutter_end(around, 0, 1 / 60, 24.0) is None
+
+
+def test_all_frames_of_a_path_move_as_each_of_them():
+    """One stands still and one ends in a cut."""
+    places = (0.0, 0.1, 0.1, 0.3, 50.0, 50.1)
+    path = [looking((x, 0.02 * x, 0), yaw=0.1 * min(x, 1.0)) for x in places]
+    along = PathMotion(path, 24.0)
+    assert along.cuts == [is_too_fast(motion_to_next(path, k), 24.0) for k in range(len(path))]
+    assert along.cuts.index(True) == 3 and sum(along.cuts) == 1
+    for k in range(len(path)):
+        found, wanted = along.end(k, 1 / 48), shutter_end(path, k, 1 / 48, 24.0)
+        assert (found is None) == (wanted is None) == (k in (1, 3))
+        if wanted is not None:
+            np.testing.assert_allclose(found.camera_from_world, wanted.camera_from_world)
+    longer = along.end(0, 1 / 24)
+    np.testing.assert_allclose(longer.camera_from_world, path[1].camera_from_world, atol=1e-12)
+
+
+def world_points(camera, far):
+    """Where the eye and the corners of the picture are at each depth, (len(far), 5, 3)."""
+    rays = np.concatenate([np.zeros((1, 3)), corner_rays(camera)])
+    return far[:, None, None] * (rays @ camera.camera_from_world[:3, :3]) + camera.position
+
+
+@pytest.mark.parametrize("lens", [(0.0, np.inf), (0.02, 1.5)])
+def test_the_seen_air_is_the_least_that_holds_what_the_cameras_see(lens):
+    field = RainField(RainSpectrum(2.0), (0.5, -1.0), seed=4, offset=(0.3, 0.2))
+    path = [looking((0.3, 0.1, 1.6)), looking((0.35, 0.1, 1.7), yaw=0.06)]
+    time, exposure, far = 3.0, 1 / 48, np.linspace(2.0, 12.0, CLASSES)
+    around = LARGEST + lens[0] * np.maximum(far / lens[1], 1.0)
+    found = {}
+    for end in (None, shutter_end(path, 0, exposure, 24.0)):
+        view = shutter_view(path[0], time, exposure, end, *lens)
+        air = found[end is None] = seen_air(field, path[0], view, far, *lens)
+        begin = world_points(path[0], far)
+        close = begin if end is None else world_points(end, far)
+        both = np.concatenate([begin, close], axis=1)
+        moves = np.linalg.norm(close - begin, axis=2).max(axis=1)
+        slack = air.slack - around
+        assert (slack >= moves - 1e-12).all() and (slack <= 2 * moves + 1e-12).all()
+        # The air comes along with the drops, from where they are as the shutter opens.
+        fall = field.velocity * exposure
+        for cube, edge, way in ((air.first, both.min(axis=1), -1), (air.last, both.max(axis=1), 1)):
+            edge = edge + way * (around[:, None] + np.maximum(-way * fall, 0.0))
+            frame = np.zeros((CLASSES, 3))
+            frame[:, :2] = 0.3, 0.2
+            wanted = np.floor((edge - field.velocity * time - frame) / field.cube[:, None])
+            np.testing.assert_array_equal(cube, wanted)
+    assert (found[True].slack < found[False].slack).all()
+    assert (found[True].last < found[False].last).any()
+
+
+def test_what_a_lens_decides_is_kept_for_it_and_read_only():
+    camera = looking()
+    for function in (corner_rays, edge_planes):
+        kept = function(camera)
+        assert function(looking((1.0, 2.0, 3.0), yaw=0.3)) is kept
+        with pytest.raises(ValueError, match="read-only"):
+            kept[0] = 0.0
+        other = function(replace(camera, cx=camera.cx + 10))
+        assert np.abs(other - kept).max() > 1e-3
 
 
 def test_a_streak_begins_and_ends_where_the_moving_camera_sees_the_drop():

@@ -14,7 +14,7 @@ from rainsim.errors import ParameterError
 from rainsim.io.states import read_state, write_state
 from rainsim.pipeline import extract_terrain
 from rainsim.reflection import wet_tops
-from rainsim.reflection.water_pass import choice_of
+from rainsim.reflection.water_pass import WaterTables, choice_of
 from rainsim.reflection.wet_tops import DRY_TOPS, TopMaps
 from rainsim.render import aov
 from rainsim.render.renderer import Renderer
@@ -23,6 +23,7 @@ from rainsim.simulation import simulate, tops_drawn
 from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.tops import find_tops, gaps_in, note_of
 from rainsim.terrain.types import NO_TOPS
+from rainsim.water.ripples import ring_reach
 from rainsim.water.top_water import PINNED, RAINS, TopWater, sheet_depth
 from scenes import tiny_scene
 
@@ -155,6 +156,18 @@ def test_a_drawn_puddle_goes_on_over_gaps_and_keeps_its_depth_beside_them():
     beside = np.maximum(np.roll(water.depths, 1, axis=2), np.roll(water.depths, -1, axis=2))
     assert (water.depths[:, gap] == 0).all() and (water.drawn[-1, gap] > 0).mean() > 0.5
     assert (water.drawn[:, gap] <= beside[:, gap]).all()
+
+
+def test_what_stands_on_tops_is_found_again_only_when_it_changes():
+    tables = WaterTables(with_table(hollow=5e-3), ring_reach(5e-3, 0.0, 5.0))
+    half, full = (tables.top_water.volumes[n] for n in (3, -1))
+    first = tables.tops_with(half, 0.0)
+    assert first.water[0, 0] == pytest.approx(3, abs=1e-5) and first.water[0, 1] == 0
+    assert tables.tops_with(half.copy(), 0.0) is first
+    rainy, fuller = tables.tops_with(half, mm_per_hour(5.0)), tables.tops_with(full, 0.0)
+    assert rainy.water[0, 1] == pytest.approx(sheet_depth(mm_per_hour(5.0)))
+    assert fuller.water[0, 0] == len(RAINS) - 1 and fuller.water[0, 1] == 0
+    assert first.water[0, 0] == pytest.approx(3, abs=1e-5)
 
 
 def test_the_sheet_is_nusselts():
