@@ -248,6 +248,13 @@ class Motion:
         return way / np.diff(track.time) * track.visible[:-1]
 
 
+def same_place(pose, other):
+    """Tell whether two poses, or absences (None), are the same."""
+    if pose is None or other is None:
+        return pose is other
+    return pose.same_as(other)
+
+
 def _matrix(pose):
     """Return a pose as a matrix of shape (4, 4)."""
     matrix = np.eye(4)

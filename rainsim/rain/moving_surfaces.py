@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.actors.footprint import put_on, shadows_on
+from rainsim.actors.motion import same_place
 from rainsim.jit import get_num_threads, set_threads
 from rainsim.rain.exposure import computed_exposure
 from rainsim.rain.heightfield import Surfaces
@@ -53,6 +54,7 @@ class MovingSurfaces:
         grid, heights = terrain.grid, (terrain.bed, terrain.top, terrain.underside)
         self.still = Surfaces(grid.spacing, grid.origin, *heights)
         self._moment, self._coming = None, {}
+        self._known = [], None  # poses, and the moment when actors were last found there
 
     def at(self, time):
         """Return the `Surfaces` at a time [s]."""
@@ -97,6 +99,15 @@ class MovingSurfaces:
         return share
 
     def _found(self, time):
+        """Return the moment of a time; that of actors which stand as they stood is the same one."""
+        poses = [footprint.motion.at(time) for footprint in self._terrain.footprints]
+        known, moment = self._known
+        if moment is None or not all(map(same_place, poses, known)):
+            moment = self._made(time)
+            self._known = poses, moment
+        return moment
+
+    def _made(self, time):
         terrain = self._terrain
         shadows = shadows_on(terrain.grid, terrain.footprints, time)
         if not shadows:

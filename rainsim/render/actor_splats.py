@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.actors.motion import same_place
 from rainsim.raster import prepare
 from rainsim.reflection.ray_traced import Tracer
 from rainsim.scene.splat_sets import joined
@@ -46,7 +47,7 @@ class ActorSplats:
         """Take over the poses of a time [s], None for no actors; return whether they moved."""
         poses = [] if time is None else [actor.track.at(time) for actor in self.actors]
         same = len(poses) == len(self.poses) and all(
-            _same(a, b) for a, b in zip(poses, self.poses, strict=True)
+            same_place(a, b) for a, b in zip(poses, self.poses, strict=True)
         )
         self.time = time
         changing = any(a.series is not None and p for a, p in zip(self.actors, poses, strict=False))
@@ -111,10 +112,3 @@ class ActorSplats:
         """
         found = np.searchsorted(self._ends[1:], hit - self.first, side="right") + 1
         return np.where(hit >= self.first, found, 0).astype(np.uint16)
-
-
-def _same(pose, other):
-    """Whether two poses, or absences, are the same."""
-    if pose is None or other is None:
-        return pose is other
-    return pose.same_as(other)

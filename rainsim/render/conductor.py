@@ -111,6 +111,7 @@ class Conductor:
         self.frame, self._set_up = Frame((*PASSES, *LAYER_PASSES)), Frame(SET_UP)
         self._coming, self._coming_on = {}, None
         self._common_rings, self.sheltered = None, []
+        self._ringed = None, None  # shelters, and the rings that were last found for them
         terrain = with_footprints(tops_drawn(terrain, config), scene)
         self._first_camera = fixed_camera(scene, terrain, config) or first_camera
         self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
@@ -216,10 +217,14 @@ class Conductor:
 
     def _rings(self, ground, shelters):
         """Return the amplitude of rings on each cell of a part of the ground with shelters."""
-        return sheltered_rings(
-            ground.rings, self.wet_scene.ground.reach, shelters, ground.terrain.grid.spacing,
-            self._ring_reach,
-        )  # fmt: skip
+        before, rings = self._ringed
+        if shelters is not before:
+            rings = sheltered_rings(
+                ground.rings, self.wet_scene.ground.reach, shelters, ground.terrain.grid.spacing,
+                self._ring_reach,
+            )  # fmt: skip
+            self._ringed = shelters, rings
+        return rings
 
     def look_ahead(self, *times):
         """Begin to find where things are at some times [s], and their rings, on other threads."""

@@ -41,10 +41,13 @@ class MovingHeights:
         self._maps = {
             name: MovingMap(getattr(self.fields, name), self._staging) for name in FIELDS
         }
-        self._are_still = True
+        self._there, self._are_still = still, True
 
     def send(self, surfaces):
         """Send those of `MovingSurfaces.moment`; the device must draw nothing meanwhile."""
+        if surfaces is self._there:
+            return
+        self._there = surfaces
         found, windows = surfaces.height_fields(), surfaces.changes
         for name, there in self._maps.items():
             there.send(getattr(found, name), windows)

@@ -154,7 +154,7 @@ class Traffic:
         self._moving = MovingSurfaces(terrain, speed_and_direction, roughness)
         self.tyres = tyres_of(terrain, config, kind=DeviceTyres)
         self._footprints, self._exposure = terrain.footprints, exposure
-        self._sheltered, self._opened = [], exposure.copy()
+        self._shelters, self._sheltered, self._opened = None, [], exposure.copy()
         self._road = self._heights = self._water = self.tracks = None
         self.thrown = [NOTHING_THROWN, NOTHING_THROWN]
 
@@ -182,6 +182,9 @@ class Traffic:
         if self._heights is None:
             return
         shelters = self._moving.moment(self._middle)[1]
+        if shelters is self._shelters:
+            return
+        self._shelters = shelters
         before, self._sheltered = self._sheltered, [part for part, _ in shelters]
         for part in before:
             self._opened[part] = self._exposure[part]
