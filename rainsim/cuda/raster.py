@@ -181,9 +181,9 @@ class EntryRoom:
         """Choose the room for pictures of so many entries."""
         self.size = int(ROOM * count) + THREADS
 
-    def fit(self):
-        """Choose the room for as many entries as the counted pictures had."""
-        self.hold(max(self._highest, self.entries))
+    def fit(self, spare=1.0):
+        """Choose the room for as many entries as the counted pictures had, times `spare`."""
+        self.hold(spare * max(self._highest, self.entries))
         self._start_counting()
 
 
@@ -268,9 +268,9 @@ class Rasterizer:
         if self.recolors:
             self.send_actors()
 
-    def send_actors(self):
-        """Pose the actors that wait; the device must draw nothing meanwhile."""
-        self.splats.pose_actors(self.actors)
+    def send_actors(self, stream=0):
+        """Pose the actors that wait; the device must draw nothing. Without a stream this waits."""
+        self.splats.pose_actors(self.actors, stream)
 
     def choose(self, chunks):
         """Draw some chunks of a `DeviceRoom` from now on; the device must be idle meanwhile."""
@@ -452,11 +452,11 @@ class Rasterizer:
             )  # fmt: skip
         self._total.copy_to_host(self.room.count, stream=stream)
 
-    def grow(self):
-        """Make room if the finished picture had too little; return whether it had."""
+    def grow(self, spare=1.0):
+        """Make room, times `spare`, if the finished picture lacked any; return whether it did."""
         lacking = self.room.overflows()
         if lacking:
-            self._make_room()
+            self._make_room(spare)
         return lacking
 
     def make_ahead(self):
@@ -468,10 +468,10 @@ class Rasterizer:
         """Count the finished picture; return whether it had too little room or far too much."""
         return self.room.count_picture() or self.room.overflows() or self.room.is_tight()
 
-    def _make_room(self):
+    def _make_room(self, spare=1.0):
         """Make room for as many entries as the counted pictures had, and some more."""
         before = self.room.size
-        self.room.fit()
+        self.room.fit(spare)
         self._taken = None
         self._take()
         if self.room.size < before:

@@ -32,6 +32,15 @@ class Heights(NamedTuple):
     underside: np.ndarray
 
 
+def begun(before, times, kept, find):
+    """Return futures by times [s]: those of `before`, and `find(time)` begun where it lacks one.
+
+    Of the times in `kept` those that `before` has are taken over.
+    """
+    there = {time: before[time] for time in kept if time in before}
+    return there | {time: before.get(time) or AHEAD.submit(find, time) for time in times}
+
+
 class MovingSurfaces:
     """The surfaces of a terrain with the actors on it, one moment after another.
 
@@ -77,16 +86,14 @@ class MovingSurfaces:
             self._moment = time, *(self._found(time) if ahead is None else ahead.result())
         return self._moment[1:]
 
-    def look_ahead(self, *times):
+    def look_ahead(self, times, kept=()):
         """Begin to find `moment` at some times on other threads; return the `Future` of each.
 
-        What was begun for other times is let go. The present moment is kept until another is asked
-        for.
+        What was begun for other times is let go, but for those in `kept`. The present moment stays
+        until another is asked for.
         """
-        self._coming = {
-            time: self._coming.get(time) or AHEAD.submit(self._found, time) for time in times
-        }
-        return list(self._coming.values())
+        self._coming = begun(self._coming, times, kept, self._found)
+        return [self._coming[time] for time in times]
 
     def thinned(self, share, time):
         """Return a share of the rain on the map (ny, nx) with that of actors at a time [s]."""

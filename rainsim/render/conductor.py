@@ -17,7 +17,7 @@ from rainsim.io.states import NO_TRACKS
 from rainsim.jit import may_run_beside
 from rainsim.particles import drop_radiance
 from rainsim.particles.splash import LONGEST_LIFE
-from rainsim.rain.moving_surfaces import AHEAD, MovingSurfaces
+from rainsim.rain.moving_surfaces import MovingSurfaces, begun
 from rainsim.raster import Rasterizer
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.water_pass import WaterTables
@@ -226,16 +226,20 @@ class Conductor:
             self._ringed = shelters, rings
         return rings
 
-    def look_ahead(self, *times):
-        """Begin to find where things are at some times [s], and their rings, on other threads."""
+    def look_ahead(self, times, kept=()):
+        """Begin to find where things are at some times [s], and their rings, on other threads.
+
+        What was found for the times in `kept` stays.
+        """
         if not may_run_beside():
             return
         ground, known = self.ground, self._coming if self._coming_on is self.ground else {}
-        self._coming, self._coming_on = {}, ground
-        for time, moment in zip(times, ground.moving.look_ahead(*times), strict=True):
-            self._coming[time] = known.get(time) or AHEAD.submit(
-                lambda moment=moment: self._rings(ground, moment.result()[1])
-            )
+        moments = dict(zip(times, ground.moving.look_ahead(times, kept), strict=True))
+        self._coming = begun(
+            known, times, kept, lambda time: self._rings(ground, moments[time].result()[1])
+        )
+        self._coming_on = ground
+        self.wet_scene.ground.bodies.look_ahead(times, kept)
 
     def set_time(self, time):
         """Take over the settings and the places of what moves of a time [s]."""

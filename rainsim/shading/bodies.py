@@ -15,6 +15,7 @@ from rainsim.actors.footprint import shadows_on
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
+from rainsim.rain.moving_surfaces import begun
 
 LOWEST, TALLEST = 0.25, 2.8  # m over the ground, of a body's upper side
 STANDS = 0.3  # m over the ground, of the lower side of what stands on it, as a car does
@@ -57,13 +58,24 @@ class BodyMap:
 
     def __init__(self, terrain, actors=None):
         self._terrain, self._actors, self.still = terrain, actors, body_map(terrain)
+        self._coming = {}
         self.move()
 
     def move(self):
         """Put what moves where it is at the time of the actors."""
         self.now, self.moved = self.still, []
         if self._actors is not None and self._actors.time is not None:
-            self.now, self.moved = stamped(self.still, self._terrain, self._actors.time)
+            time = self._actors.time
+            ahead = self._coming.get(time)
+            self.now, self.moved = self._at(time) if ahead is None else ahead.result()
+
+    def _at(self, time):
+        return stamped(self.still, self._terrain, time)
+
+    def look_ahead(self, times, kept):
+        """Begin to find the map at some times [s], see `MovingSurfaces.look_ahead`."""
+        if self._actors is not None:
+            self._coming = begun(self._coming, times, kept, self._at)
 
 
 def body_map(terrain):

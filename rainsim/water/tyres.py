@@ -26,6 +26,7 @@ from rainsim.rain.throws import (
 )
 from rainsim.rain.wind import wind_at
 from rainsim.terrain.table import class_table
+from rainsim.water.landings import Landings
 from rainsim.water.tracks import REACH, blur_weights, lay_tracks
 
 LEFT = 1e-4  # m of water that stays in the road's texture under a tyre; an assumption
@@ -45,6 +46,16 @@ class _Car(NamedTuple):
     motion: Motion
     covered: np.ndarray  # (n,), whether the car's floor is behind the tyre
     section: float  # m2
+
+
+class _Way(NamedTuple):
+    """The way of a tyre in a step."""
+
+    begin: np.ndarray  # (3,) [m]
+    end: np.ndarray
+    middle: np.ndarray  # (3,) [m], of the car at the end
+    rows: np.ndarray  # of the cells of the road that it passes
+    columns: np.ndarray
 
 
 class Tyres:
@@ -79,8 +90,7 @@ class Tyres:
         self.lifted = self.returned = self.kept = self.gone = self._mist = 0.0
         self._throws, self._ids = NO_THROWS, np.zeros(0, np.uint64)
         self._own = np.zeros(0)  # share of each throw that the account has
-        # End [s], row, column, volume and the account's part of it [m3]; row -1: beside the map.
-        self._landing = np.zeros((0, 5))
+        self._landings, self._rolled = Landings(), None
         self._passed = np.zeros(terrain.grid.shape, bool) if self._cars else None
         self._box = None  # first row, first column, last row, last column of all that was passed
         spacing = terrain.grid.spacing
@@ -181,7 +191,7 @@ class Tyres:
         hanging = float((mist_left(self._throws, time) * self._own).sum())
         return replace(
             ledger, drained=ledger.drained - self.lifted, rain=ledger.rain - self.returned,
-            airborne=ledger.airborne + (float(self._landing[:, 4].sum()) + hanging),
+            airborne=ledger.airborne + (self._landings.own + hanging),
             obstacles=ledger.obstacles + self.kept,
             outflow=ledger.outflow + (self.gone + self._mist - hanging),
         )  # fmt: skip
@@ -191,8 +201,8 @@ class Tyres:
         wind = weather.wind(0.5 * (start + stop)) * float(wind_at(WIND_AT, self._roughness))
         rows, ids, own = [], [], []
         tick = round(stop / (LONGEST_STEP / 64))
-        for number, car, k, begin, end, middle in self._ways(start, stop):
-            row, share = self._throw(solver, car, k, begin, end, middle, start, stop, wind)
+        for number, car, k, way in self._ways(start, stop):
+            row, share = self._throw(solver, car, k, way, start, stop, wind)
             if row is not None:
                 row[AT["car"]] = number
                 rows.append(row)
@@ -206,18 +216,23 @@ class Tyres:
             self._throws = np.concatenate([self._throws, table])
             self._ids = np.concatenate([self._ids, ids])
             self._own = np.concatenate([self._own, own])
-            self._landing = np.concatenate([self._landing, self._landings(table, ids, own)])
+            self._landings.add(self._landings_of(table, ids, own))
         recent = column(self._throws, "end") > stop - REMEMBERED
         self._throws, self._ids = self._throws[recent], self._ids[recent]
         self._own = self._own[recent]
         self._land(solver, stop)
 
     def _ways(self, start, stop):
-        """Yield the ways of all tyres in a step.
+        """Return the ways of all tyres that throw water in a step from `start` to `stop` [s].
 
-        Number of the car, the car, number of its tyre, the tyre's places [m] at `start` and `stop`
-        [s], and the middle of the car at the end.
+        Number of the car, the car, number of its tyre and the `_Way`. Those of the last step are
+        kept: on a device they are asked for twice.
         """
+        if self._rolled is None or self._rolled[0] != (start, stop):
+            self._rolled = (start, stop), list(self._found_ways(start, stop))
+        return self._rolled[1]
+
+    def _found_ways(self, start, stop):
         for number, car in enumerate(self._cars):
             poses = car.motion.coming(start), car.motion.coming(stop)
             if poses[0] is None or poses[1] is None:
@@ -225,7 +240,11 @@ class Tyres:
             ways = [pose.places(car.motion.wheels[:, :3]) for pose in poses]
             middle = poses[1].places(car.motion.box[:1])[0]
             for k, (begin, end) in enumerate(zip(*ways, strict=True)):
-                yield number, car, k, begin, end, middle
+                if math.hypot(*(end - begin)[:2]) / (stop - start) < SLOWEST:
+                    continue
+                rows, columns = self._cells_under(begin, end, car.motion.wheels[k, 3])
+                if len(rows):
+                    yield number, car, k, _Way(begin, end, middle, rows, columns)
 
     def _cells_under(self, begin, end, width):
         """Return rows and columns of the cells of the road that a tyre of a width [m] passes."""
@@ -235,7 +254,7 @@ class Tyres:
             rows, columns = (a[off < OFF_THE_ROAD] for a in (rows, columns))
         return rows, columns
 
-    def _throw(self, solver, car, k, begin, end, middle, start, stop, wind):
+    def _throw(self, solver, car, k, way, start, stop, wind):
         """Take the water in the path of one tyre.
 
         Returns
@@ -245,15 +264,11 @@ class Tyres:
         share : float
             Of it that the account has.
         """
+        begin, end, middle, rows, columns = way
         width, radius = car.motion.wheels[k, 3:]
         step = np.hypot(*(end - begin)[:2])
         speed = step / (stop - start)
-        if speed < SLOWEST:
-            return None, 0.0
         grid = self._terrain.grid
-        rows, columns = self._cells_under(begin, end, width)
-        if not len(rows):
-            return None, 0.0
         self._passed[rows, columns] = True
         box = rows.min(), columns.min(), rows.max(), columns.max()
         self._box = box if self._box is None else (
@@ -285,7 +300,7 @@ class Tyres:
         lifted = solver.lift(rows, columns, LEFT)
         return lifted, lifted
 
-    def _landings(self, table, ids, own):
+    def _landings_of(self, table, ids, own):
         """Return when and where the drops of a table of throws come down, see `_landing`."""
         parcels = parcels_of(table, ids)
         age = landing_age(parcels)
@@ -303,8 +318,7 @@ class Tyres:
 
     def _land(self, solver, time):
         """Bring down the thrown water that lands up to a time [s]."""
-        due = self._landing[:, 0] < time
-        down, self._landing = self._landing[due], self._landing[~due]
+        down = self._landings.due(time)
         cells, volume, own = down[:, 1:3].astype(np.int64), down[:, 3], down[:, 4]
         inside = cells[:, 0] >= 0
         self.gone += float(own[~inside].sum())

@@ -229,7 +229,7 @@ def test_what_was_found_ahead_is_what_is_found_at_the_time(scene, ground, states
         for mine, wanted in zip(*found, strict=True):
             np.testing.assert_array_equal(mine, wanted)
         if coming:
-            ahead.look_ahead(*(states[number].time for number in coming))
+            ahead.look_ahead([states[number].time for number in coming])
             assert sorted(ahead._coming) == [states[number].time for number in coming]
     assert not np.array_equal(found[0][0], direct.ground.rings)
 

@@ -34,6 +34,7 @@ from rainsim.splatting.project import FRUSTUM_MARGIN
 SQUARE_CELLS = 1 << (COARSEST - 1)  # of half the resolution in one of the coarsest
 TWICE_SLOPE = 2 * WINDOW_SLOPE
 MARGIN = float(FRUSTUM_MARGIN)
+SPARE = 1.5  # times the usual room, after a picture that had too little: mirrors change fast
 SPARED = 0.1  # of the free memory that a pass may take to be drawn beside others
 
 
@@ -307,7 +308,7 @@ class Mirrors:
             self._allocate(mirrored.height, mirrored.width)
             for rasterizer in self._rasterizers:
                 rasterizer.update(*self._mirrored)
-        return any([lacking, *[rasterizer.grow() for rasterizer in self._rasterizers]])
+        return any([lacking, *[each.grow(SPARE) for each in self._rasterizers]])
 
     def make_ahead(self):
         """Make room where little is left, and free the room that pictures in turn left unused."""

@@ -58,7 +58,8 @@ class MovingActors:
         # Those that follow, if they do, while the device draws these.
         fps = conductor.config.fps
         number = round(state.time * fps)
-        conductor.look_ahead(*((number + n) / fps for n in range(1, 1 + FRAMES_AHEAD)))
+        times = [(number + n) / fps for n in range(-1, 1 + FRAMES_AHEAD)]
+        conductor.look_ahead(times[2:], times[:2])  # a frame may be drawn again
 
     def _send_moment(self, surfaces, spray):
         """Send the map as actors cover it, see `MovingSurfaces.moment`, and the spray."""

@@ -206,7 +206,7 @@ class DeviceFrame:
             level.send_colors()
 
     def _send_actors(self, _placed):
-        self.rasterizer.send_actors()
+        self.rasterizer.send_actors(self.stream)
         if (level := self.passes.ground_light.level) is not None:
             level.send_actors()
 

@@ -220,10 +220,11 @@ class LevelView:
             return
         if self._posed is None:
             self._posed = self._posed_actors(self._rasterizer.splats, actors.actors, scene.frame)
-        self._posed.put(actors.poses)
+        stream = self._frame.stream
+        self._posed.put(actors.poses, stream)
         self._posed.hide(
             self._upright, self._frame["bed"], self._frame.place, np.float32(STANDING),
-            np.float32(STANDING_OUTSIDE),
+            np.float32(STANDING_OUTSIDE), stream,
         )  # fmt: skip
 
     def _posed_actors(self, splats, actors, frame):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.splatting.project import FAINT
 from rainsim.scene.harmonics import BANDS, mixings
@@ -137,45 +138,50 @@ class PosedActors:
             geometry.reshape(used, GEOMETRY, LANES),
             np.concatenate([part.harmonics() for part in parts]),
         ))  # fmt: skip
-        self._there = cuda.to_device(np.full(used, -1, np.int32))
-        self._poses = cuda.to_device(np.zeros((len(parts), POSE), np.float32))
-        count = self._degrees**2
-        self._mixing = cuda.to_device(np.zeros((len(parts), count, count), np.float32))
-        self._shown, self._used, self._room = None, used, room
+        count, f4 = self._degrees**2, np.float32
+        self._now = FrameUniforms(0, {
+            "there": ((used,), np.int32), "poses": ((len(parts), POSE), f4),
+            "mixing": ((len(parts), count, count), f4), "box": ((room, 6), f4),
+            "span": ((room, 2), f4),
+        })  # fmt: skip
+        self._used, self._room = used, room
 
-    def put(self, poses):
-        """Put the actors at their poses, None of those that are away; the device must be idle."""
-        splats, used = self._splats, self._used
+    def put(self, poses, stream=0):
+        """Queue the putting of actors at their poses, None of those that are away.
+
+        The device must draw nothing meanwhile. Without a stream this waits.
+        """
+        splats, used, now = self._splats, self._used, self._now
         shown = np.array([pose is not None for pose in poses] or [False] * len(self._turning))
         there = shown[self._owner]
         rows = np.zeros((len(shown), POSE), np.float32)
-        mixing = np.zeros(self._mixing.shape, np.float32)
+        mixing = np.zeros_like(now.host["mixing"])
         for k, pose in enumerate(poses):
             if pose is not None:
                 rows[k] = (*pose.rotation.ravel(), *pose.position)
                 turn = pose.rotation if self._turning[k] else np.eye(3)
                 for band, each in zip(BANDS, mixings(turn, self._degrees), strict=False):
                     mixing[k, band, band] = each
-        self._there.copy_to_device(np.where(there, self._owner, -1).astype(np.int32))
-        self._poses.copy_to_device(rows)
-        self._mixing.copy_to_device(mixing)
-        splats.show_room(np.concatenate([there, np.zeros(self._room - used, bool)]))
-        box = np.zeros((self._room, 6), np.float32)
-        box[:used] = self._boxes(rows.astype(np.float64))
-        splats.box[: self._room].copy_to_device(box)
-        pose_splats[-(-used * LANES // THREADS), THREADS](
-            self._there, self._poses, self._mixing, *self._data, splats.groups, splats.geometry,
-            splats.sh,
+        box, span = now.host["box"], now.host["span"]
+        box[:used], span[...] = self._boxes(rows.astype(np.float64)), np.inf
+        span[:used][there, 0] = 0
+        now.update(there=np.where(there, self._owner, -1), poses=rows, mixing=mixing)
+        now.send(stream)
+        for name, array in (("box", splats.box), ("span", splats.span)):
+            array[: self._room].copy_to_device(now[name], stream=stream)
+        pose_splats[-(-used * LANES // THREADS), THREADS, stream](
+            now["there"], now["poses"], now["mixing"], *self._data, splats.groups,
+            splats.geometry, splats.sh,
         )  # fmt: skip
-        cuda.synchronize()
+        if stream == 0:
+            cuda.synchronize()
 
-    def hide(self, ground, bed, place, least, least_outside):
-        """Hide what does not stand on the ground, see `hide_low`; `put` shows it again."""
+    def hide(self, ground, bed, place, least, least_outside, stream):
+        """Queue the hiding of what does not stand on the ground, see `hide_low`; `put` shows it."""
         (corner, cell), used = place, self._used
-        hide_low[-(-used * LANES // THREADS), THREADS](
+        hide_low[-(-used * LANES // THREADS), THREADS, stream](
             used, ground, bed, corner, cell, least, least_outside, self._splats.geometry
         )
-        cuda.synchronize()
 
     def _boxes(self, rows):
         """Return boxes around those of the chunks, as the actors have turned."""

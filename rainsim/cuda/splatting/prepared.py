@@ -114,15 +114,18 @@ class DeviceSplats:
         self.show_room(np.arange(room) >= first)
         self._order, self._first = lambda: merged.order, first
 
-    def pose_actors(self, actors):
-        """Put the actors of an `ActorSplats` where they are; the device must draw nothing."""
+    def pose_actors(self, actors, stream=0):
+        """Put the actors of an `ActorSplats` where they are; the device must draw nothing.
+
+        Without a stream this waits.
+        """
         if not actors.rigid:
             self.put_actors(actors.merged())
             return
         if self._posed is None:
             parts = [prepare(actor.splats) for actor in actors.actors]
             self._posed = PosedActors(self, parts, [actor.turning for actor in actors.actors])
-        self._posed.put(actors.poses)
+        self._posed.put(actors.poses, stream)
         shown = [pose is not None for pose in actors.poses]
         self._order, self._first = lambda: self._posed.order(self._static, shown, actors.first), 0
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.cuda.driver import send, to_device
+from rainsim.cuda.driver import Staging, to_device
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.rain.moving_surfaces import MovingHeights
-from rainsim.cuda.water.cells import DEPTH, FILM, REMAINDER, WAITING, Cells
+from rainsim.cuda.water.cells import DEPTH, FILM, REMAINDER, THREADS, WAITING, Cells
 from rainsim.cuda.water.step_control import UNIT
 from rainsim.cuda.water.tracks import Tracks
 from rainsim.io.states import NO_IDS, NO_THROWS, NO_TRACKS
@@ -30,10 +30,10 @@ NOTHING_THROWN = NO_THROWS, NO_IDS
 
 @cuda_kernel
 def put_down(cells, units, count, waiting_out):
-    """Let drops wait in some cells, none of them named twice: whole numbers of UNIT."""
+    """Let drops wait in some cells: whole numbers of UNIT."""
     n = cuda.grid(1)
     if n < count:
-        waiting_out[cells[n]] += units[n]
+        cuda.atomic.add(waiting_out, cells[n], units[n])
 
 
 class Road:
@@ -52,7 +52,12 @@ class Road:
     def __init__(self, water):
         self._water, self._area = water, water.cells.area
         self._cells, self._table = Cells(water, ROOM), None  # no table: no cells are held
-        self._units, self.passed = to_device(np.zeros(ROOM, np.int64), water.stream), []
+        self._make_room(ROOM)
+        self._staging, self.passed = Staging(water.stream), []
+
+    def _make_room(self, count):
+        """Make room for the cells and the units of so many drops."""
+        self._drops = [to_device(np.zeros(count, np.int64), self._water.stream) for _ in range(2)]
 
     def hold(self, ways):
         """Read the cells of some ways, pairs of rows and columns; waits for them."""
@@ -88,16 +93,15 @@ class Road:
         if not len(rows):
             return
         self.let_go()  # no cell that is held may lose them
-        stream = self._water.stream
-        cells, which = np.unique(self._water.places(rows, columns), return_inverse=True)
-        depth = np.bincount(which.ravel(), volumes) / (self._area * UNIT)
-        self._cells.choose(cells)
-        room, count = len(self._cells.on_device), len(cells)
-        if len(self._units) < room:
+        stream, count = self._water.stream, len(rows)
+        units = np.rint(volumes / (self._area * UNIT)).astype(np.int64)
+        if len(self._drops[0]) < count:
             stream.synchronize()
-            self._units = to_device(np.zeros(room, np.int64), stream)
-        send(self._units[:count], np.rint(depth).astype(np.int64), stream)
-        put_down[self._cells.grid()](self._cells.on_device, self._units, count, self._water.waiting)
+            self._make_room(2 * count)
+        table = self._water.places(rows, columns), units
+        for there, values in zip(self._drops, table, strict=True):
+            self._staging.send(there[:count], values)
+        put_down[-(-count // THREADS), THREADS, stream](*self._drops, count, self._water.waiting)
 
 
 class DeviceTyres(Tyres):
@@ -115,12 +119,7 @@ class DeviceTyres(Tyres):
     def _step(self, solver, start, stop, weather):
         held = isinstance(solver, Road)
         if held:
-            ways = [
-                self._cells_under(begin, end, car.motion.wheels[k, 3])
-                for _, car, k, begin, end, _ in self._ways(start, stop)
-                if (begin != end)[:2].any()
-            ]
-            if ways := [way for way in ways if len(way[0])]:
+            if ways := [(way.rows, way.columns) for *_, way in self._ways(start, stop)]:
                 solver.hold(ways)
         super()._step(solver, start, stop, weather)
         if held:
@@ -175,7 +174,7 @@ class Traffic:
         self._heights.send(self._moving.at(time))
         self._middle = time
         if may_run_beside():
-            self._moving.look_ahead(*following)
+            self._moving.look_ahead(following)
 
     def thin_rain(self):
         """Let less rain reach the ground in the listed interval."""

@@ -1,0 +1,40 @@
+"""Water in the air that comes down at known times, in known cells."""
+
+from __future__ import annotations
+
+import numpy as np
+
+END, OWN = 0, 4  # columns of a table of landings
+
+
+class Landings:
+    """Water that is still to come down.
+
+    A table of it has a row for each part: end [s], row and column of its cell, volume, and the
+    account's part of that [m3]; row -1: beside the map.
+    """
+
+    def __init__(self):
+        # Tables, the order in which their rows come down, and how many of them have.
+        self._tables = []
+
+    def add(self, table):
+        """Add a table, ndarray of shape (n, 5), float64."""
+        self._tables.append((table, table[:, END].argsort(kind="stable"), 0))
+
+    def due(self, time):
+        """Take out and return what comes down before a time [s], a table in the order of `add`."""
+        down, left = [np.zeros((0, 5))], []
+        for table, order, done in self._tables:
+            end = int(np.searchsorted(table[:, END], time, sorter=order))
+            if end > done:
+                down.append(table[np.sort(order[done:end])])
+            if end < len(table):
+                left.append((table, order, max(end, done)))
+        self._tables = left
+        return np.concatenate(down)
+
+    @property
+    def own(self):
+        """Volume [m3] of the account that is still to come down."""
+        return sum(float(table[order[done:], OWN].sum()) for table, order, done in self._tables)
