@@ -6,12 +6,10 @@ as for frames of the CPU; the static set stays where it is.
 
 from __future__ import annotations
 
-from concurrent.futures import wait
-
 from rainsim.cuda.particles.spray import Spray
 from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.particles.spray import flocks_seen
-from rainsim.rain.moving_surfaces import AHEAD, FRAMES_AHEAD
+from rainsim.rain.moving_surfaces import FRAMES_AHEAD
 from rainsim.rain.throws import KnownParcels
 
 
@@ -32,7 +30,7 @@ class MovingActors:
 
     def __init__(self, frame):
         self._frame, conductor = frame, frame.conductor
-        self._parcels, self._seen = KnownParcels(), []  # the spray that is looked for
+        self._parcels = KnownParcels()
         footprints = conductor.ground.terrain.footprints
         self.heights = self.spray = None
         if footprints:
@@ -48,12 +46,9 @@ class MovingActors:
         if self.spray is not None:
             # Found while the device draws the frame before.
             exposure, camera = conductor.now.render.exposure, conductor.ground_camera
-            throws, flying = (state.throws, state.throw_id), self._parcels.flying
-            wait(self._seen)  # the parcels are those of one time
-            self._seen = [
-                AHEAD.submit(flocks_seen, *throws, camera, state.time, exposure, flying)
-            ]
-            spray = camera, *self._seen
+            spray = *flocks_seen(
+                state.throws, state.throw_id, camera, state.time, exposure, self._parcels.flying
+            ), camera  # fmt: skip
         frame.pending.append(lambda: self._send_moment(surfaces, spray))
         # Those that follow, if they do, while the device draws these.
         fps = conductor.config.fps
@@ -67,5 +62,4 @@ class MovingActors:
         if (impacts := self._frame.passes.rain.impacts) is not None:
             impacts.list_again()
         if spray is not None:
-            camera, seen = spray
-            self.spray.send(*seen.result(), camera)
+            self.spray.send(*spray)

@@ -130,7 +130,9 @@ class PosedActors:
         self._first = np.cumsum([0, *counts])
         used, room = int(self._first[-1]), splats.room
         self._owner = np.repeat(np.arange(len(parts), dtype=np.int32), counts)
-        self._box = np.concatenate([part.box for part in parts])
+        low, high = np.split(np.concatenate([part.box for part in parts]).astype(np.float64), 2, 1)
+        with np.errstate(invalid="ignore"):  # a chunk of holes has no box, which stays so
+            self._middle, self._half = 0.5 * (low + high), 0.5 * (high - low)
         self._orders = [part.order for part in parts]
         self._degrees = parts[0].degree + 1
         geometry = np.concatenate([clean(part.geometry) for part in parts])
@@ -185,12 +187,14 @@ class PosedActors:
 
     def _boxes(self, rows):
         """Return boxes around those of the chunks, as the actors have turned."""
-        turn = rows[self._owner, :9].reshape(-1, 3, 3)
-        low, high = self._box[:, :3], self._box[:, 3:]
-        with np.errstate(invalid="ignore"):  # a chunk of holes has none, which stays
-            middle = np.einsum("nij,nj->ni", turn, 0.5 * (low + high)) + rows[self._owner, 9:]
-            half = np.einsum("nij,nj->ni", np.abs(turn), 0.5 * (high - low))
-        return np.concatenate([middle - half, middle + half], axis=1)
+        boxes = np.empty((self._used, 6))
+        with np.errstate(invalid="ignore"):
+            for row, first, end in zip(rows, self._first[:-1], self._first[1:], strict=True):
+                turn = row[:9].reshape(3, 3).T
+                middle = self._middle[first:end] @ turn + row[9:]
+                half = self._half[first:end] @ np.abs(turn)
+                boxes[first:end, :3], boxes[first:end, 3:] = middle - half, middle + half
+        return boxes
 
     def order(self, static, shown, first):
         """Return the numbers of all places' splats, those of the static set behind the actors'.
