@@ -105,7 +105,7 @@ class Camera:
     def position(self):
         """Camera centre in world coordinates, ndarray of shape (3,), float64."""
         rotation = self.camera_from_world[:3, :3]
-        return -(rotation.T @ self.camera_from_world[:3, 3])
+        return -rotation.T @ self.camera_from_world[:3, 3]
 
     @property
     def forward(self):
@@ -139,7 +139,7 @@ class Camera:
 def pose_at(rotation, position):
     """Return camera_from_world of the camera at `position` whose axes are the rows `rotation`."""
     matrix = np.zeros((4, 4))  # in a third of the time that `np.eye` takes
-    matrix[:3, :3], matrix[:3, 3], matrix[3, 3] = rotation, -(rotation @ position), 1.0
+    matrix[:3, :3], matrix[:3, 3], matrix[3, 3] = rotation, -rotation @ position, 1.0
     return matrix
 
 
