@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -39,7 +40,7 @@ class Objects:
         self.drips = Drips(surfaces, rain.seed, wet, keep) if rain.drips else None
         self._surfaces, self._roughness = surfaces, rain.roughness
         self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
-        self.tops = tops
+        self.tops, self._full_after = tops, (math.inf, None)
         self._on_tops = tops.after(rain.past, dried)
         if self.drips is not None:
             self._fill_tops()
@@ -70,7 +71,13 @@ class Objects:
         """Return the water on each top [m3] (n,) after `rain` [m] that falls evenly."""
         if self.drips is None or not len(self._on_tops):
             return self._on_tops.copy()
-        return self._on_each(np.minimum(self._held_of + self._area_of * rain, self._room_of))
+        enough, full = self._full_after
+        if rain < enough:
+            held = np.minimum(self._held_of + self._area_of * rain, self._room_of)
+            full = self._on_each(held)
+            if (held == self._room_of).all():  # more rain changes nothing
+                self._full_after = rain, full
+        return full.copy()
 
     def _on_each(self, held):
         """Return the water on each top [m3] from the water `held` behind each drip point [m3]."""

@@ -19,10 +19,11 @@ from rainsim.reflection.wet_tops import DRY_TOPS, TopMaps
 from rainsim.render import aov
 from rainsim.render.renderer import Renderer
 from rainsim.scene.view import View, pixel_ray
-from rainsim.simulation import simulate, tops_drawn
+from rainsim.simulation import simulate, surfaces_of, tops_drawn, tops_of
 from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.tops import find_tops, gaps_in, note_of
 from rainsim.terrain.types import NO_TOPS
+from rainsim.water.on_objects import Objects
 from rainsim.water.ripples import ring_reach
 from rainsim.water.top_water import PINNED, RAINS, TopWater, sheet_depth
 from scenes import tiny_scene
@@ -156,6 +157,17 @@ def test_a_drawn_puddle_goes_on_over_gaps_and_keeps_its_depth_beside_them():
     beside = np.maximum(np.roll(water.depths, 1, axis=2), np.roll(water.depths, -1, axis=2))
     assert (water.depths[:, gap] == 0).all() and (water.drawn[-1, gap] > 0).mean() > 0.5
     assert (water.drawn[:, gap] <= beside[:, gap]).all()
+
+
+def test_full_tops_take_no_more_rain():
+    made, settings = with_table(hollow=5e-3), config(rate=mm_per_hour(5.0))
+    start = settings.at(0.0)
+    objects = Objects(surfaces_of(made), start, *tops_of(made, settings, start))
+    dry, some, full, more = (objects.top_water_after(rain)[0] for rain in (0, 1e-4, 0.5, 0.6))
+    assert dry < some < full == more
+    assert full == pytest.approx(TopWater(made).capacity[0], rel=1e-6)
+    objects.top_water_after(0.6)[:] = 0.0
+    assert objects.top_water_after(0.7)[0] == full and objects.top_water_after(1e-4)[0] == some
 
 
 def test_what_stands_on_tops_is_found_again_only_when_it_changes():

@@ -35,7 +35,7 @@ from rainsim.demo_scenes.build import (
     to_splats,
     turn_about,
 )
-from rainsim.scene.types import Camera, Scene
+from rainsim.scene.types import Camera, Scene, pose_at
 
 SEED = 20140
 BLADES = 64_000
@@ -96,11 +96,9 @@ def _camera(eye, target, name):
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, (0, 0, 1.0))
     right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, :3] = right, np.cross(forward, right), forward
-    matrix[:3, 3] = -matrix[:3, :3] @ eye
+    pose = pose_at(np.array([right, np.cross(forward, right), forward]), eye)
     focal = float(WIDTH / 2 / np.tan(FIELD_OF_VIEW / 2))
-    return Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, matrix, name)
+    return Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, pose, name)
 
 
 def _ground_light():

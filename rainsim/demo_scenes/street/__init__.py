@@ -18,7 +18,7 @@ from rainsim.demo_scenes.street import cars, footway, furniture, road
 from rainsim.demo_scenes.street.facades import houses
 from rainsim.demo_scenes.street.long import LongStreet
 from rainsim.scene.splat_sets import joined
-from rainsim.scene.types import Camera, Scene
+from rainsim.scene.types import Camera, Scene, pose_at
 
 SEED = 1871
 SPEED, FRAMES_PER_SECOND, CAMERAS = 10.0, 24.0, 40  # m/s, 1/s
@@ -99,12 +99,10 @@ def _drive(count=CAMERAS, crown=road.CROWN):
     fall = np.arctan2(LOOK_DOWN, LOOK_AHEAD)
     forward = np.array([np.cos(fall), 0.0, -np.sin(fall)])
     right = np.array([0.0, -1.0, 0.0])
+    axes = np.array([right, np.cross(forward, right), forward])
     for k in range(count):
-        matrix = np.eye(4)
-        matrix[:3, :3] = right, np.cross(forward, right), forward
-        eye = np.array([k * SPEED / FRAMES_PER_SECOND, 0.0, crown + EYE_HEIGHT])
-        matrix[:3, 3] = -matrix[:3, :3] @ eye
-        yield Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, matrix, f"{k:02d}")
+        pose = pose_at(axes, np.array([k * SPEED / FRAMES_PER_SECOND, 0.0, crown + EYE_HEIGHT]))
+        yield Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, pose, f"{k:02d}")
 
 
 def _leaves(noise, rng, count=420, first=1.0, last=30.0, layout=road.LAYOUT):
