@@ -7,6 +7,7 @@ by the Markdown that the function of this name in `PARTS` returns.
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import re
 from pathlib import Path
@@ -223,10 +224,16 @@ def documented(nodes):
     return sum(bool(ast.get_docstring(node)) for node in nodes), len(nodes)
 
 
+@functools.cache
+def modules():
+    """Return the syntax trees of the package's modules."""
+    paths = sorted((ROOT / "rainsim").rglob("*.py"))
+    return [ast.parse(path.read_text(encoding="utf-8")) for path in paths]
+
+
 def public_nodes(kinds):
     """Yield the syntax nodes of all public functions, methods or classes of the package."""
-    for path in sorted((ROOT / "rainsim").rglob("*.py")):
-        module = ast.parse(path.read_text(encoding="utf-8"))
+    for module in modules():
         classes = [node for node in module.body if isinstance(node, ast.ClassDef)]
         for place in [module, *(one for one in classes if not one.name.startswith("_"))]:
             for node in place.body:

@@ -151,6 +151,60 @@ def short_warm_up(request):
         yield
 
 
+SMALL_FACE = 32  # px
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_surroundings(request):
+    """Few pixels of the surroundings, whose pictures took a third of a small frame's set-up.
+
+    The golden frames have all of them, and so have modules with WHOLE_SURROUNDINGS.
+    """
+    if request.path.parent.name == "golden" or hasattr(request.module, "WHOLE_SURROUNDINGS"):
+        yield
+        return
+    from rainsim.shading import environment
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(environment, "FACE", SMALL_FACE)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def captures_seen_once():
+    """The skyline and the surface of each capture are found once where no results are kept."""
+    from rainsim.io import cache
+    from rainsim.shading import environment, skyline
+    from rainsim.surface import kept_surface
+
+    keep, find, known = cache.kept_arrays, kept_surface.find_surface, {}
+
+    def constants(*modules):  # which a test may change
+        return [repr(value) for m in modules for name, value in vars(m).items() if name.isupper()]
+
+    def once(name, compute):
+        if name not in known:
+            known[name] = compute()
+        return known[name]
+
+    def kept_arrays(kind, stage, compute, *inputs):
+        if cache.folder() or kind != "skyline":
+            return keep(kind, stage, compute, *inputs)
+        now = constants(environment, skyline)
+        return once(cache.name_of(stage, *inputs, now), compute)
+
+    def find_surface(scene):
+        if cache.folder():
+            return find(scene)
+        place = scene.splats, scene.ground_frame, scene.cameras
+        return once(cache.name_of(kept_surface.KIND, *place), lambda: find(scene))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cache, "kept_arrays", kept_arrays)
+        patch.setattr(kept_surface, "find_surface", find_surface)
+        yield
+
+
 @pytest.fixture(scope="session", autouse=True)
 def scenes_made_once():
     """The built-in scenes, which take seconds each, are made once where no results are kept."""

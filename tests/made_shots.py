@@ -11,7 +11,7 @@ def wet_shot(names):
     scene = tiny_scene()
     camera = scene.cameras[0].resized(160, 120)
     config = Config.from_preset("downpour").replace(
-        past=6e-3, sun=(0.0, 0.7), cloudiness=0.5, extent=1.0, spacing=0.025
+        past=6e-3, sun=(0.0, 0.7), cloudiness=0.5, extent=1.0, spacing=0.025, streak_far=4.0
     )
     ground = pipeline.extract_terrain(scene, config)
     state = next(s for s in pipeline.simulate(ground, config) if s.index == 2)

@@ -32,8 +32,17 @@ def hidden(points, direction):
     found = np.zeros(len(points), bool)
     with np.errstate(divide="ignore", invalid="ignore"):
         for low, high in BOXES:
-            a, b = (low - points) / direction, (high - points) / direction
-            enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
+            # Axis by axis: over rows of three numpy's greatest takes ten times as long.
+            enter, leave = np.full((2, len(points)), [[-np.inf], [np.inf]])
+            for k in range(3):
+                a, b = (
+                    (low[k] - points[:, k]) / direction[k],
+                    (high[k] - points[:, k]) / direction[k],
+                )
+                enter, leave = (
+                    np.maximum(enter, np.minimum(a, b)),
+                    np.minimum(leave, np.maximum(a, b)),
+                )
             found |= (leave > np.maximum(enter, 0)) & (leave > 1e-4)
     return found | (direction[2] < 0)
 

@@ -10,7 +10,7 @@ from rainsim.io.images import read_image
 from run_folders import exr_parts, layer
 
 FILM = ["--spacing", "0.04", "--extent", "1", "--relight", "off", "--width", "64", "--preset",
-        "downpour"]  # fmt: skip
+        "moderate"]  # fmt: skip
 
 
 @pytest.fixture

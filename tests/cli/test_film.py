@@ -18,9 +18,11 @@ from rainsim.io.images import read_image
 from rainsim.render.aov import AOVS, recompose
 from rainsim.scene.cameras import read_cameras
 from rainsim.scene.library import load_scene
+from rainsim.shading import environment
 from run_folders import layer
 
 WARM_UP = simulation.RIPPLE_WARM_UP  # s
+FACE = environment.FACE  # px
 MAP = ["--spacing", "0.04", "--extent", "1"]
 LIGHT = ["--relight", "off"]  # looking for a sun takes a third of the time
 FILM = [*MAP, *LIGHT, "--width", "64", "--preset", "downpour"]
@@ -171,6 +173,7 @@ def test_frames_of_a_range_are_those_of_the_whole(film, tmp_path):
 def test_workers_draw_the_same_frames(film, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(simulation, "RIPPLE_WARM_UP", WARM_UP)  # as in the workers' processes
+    monkeypatch.setattr(environment, "FACE", FACE)
     assert film("whole", frames=2).code == 0
     done = film("farm", "--workers", 1, frames=2)
     assert done.code == 0 and "frames 2/2" in done.err, done.err

@@ -154,7 +154,7 @@ def test_water_that_is_too_fast_is_told():
 
 def test_flow_runs_on_the_device_and_refuses_other_schemes_in_one_line(tmp_path, monkeypatch):
     def flow(*words):
-        words = "flow", "bed.npy", "--spacing", "1", "--duration", "0.2", *words
+        words = "flow", "bed.npy", "--spacing", "1", "--duration", "0.2", "--period", "0.1", *words
         return CliRunner().invoke(cli, [*words, "--backend", "cuda"], prog_name="rainsim")
 
     monkeypatch.chdir(tmp_path)

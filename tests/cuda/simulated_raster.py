@@ -95,7 +95,7 @@ def test_levels_of_detail_are_those_of_the_cpu(options):
 
 
 def test_hits_are_those_of_the_cpu(monkeypatch):
-    prepared = raster.prepare(cloud(400))
+    prepared = raster.prepare(cloud(150))
     wanted = raster.rasterize(prepared, camera(), 0.2, hit=True)
     found = twin.rasterize(prepared, camera(), 0.2, hit=True)
     np.testing.assert_array_equal(found.hit, wanted.hit)
@@ -104,7 +104,7 @@ def test_hits_are_those_of_the_cpu(monkeypatch):
     empty = twin.rasterize(raster.prepare(cloud(2)), camera(), 0.2, hit=True).hit
     assert (empty == -1).mean() > 0.5
     for module in (on_device, twin):  # as if a float32 told fewer numbers apart
-        monkeypatch.setattr(module, "MOST_NUMBERS", 20)
+        monkeypatch.setattr(module, "MOST_NUMBERS", 10)
     drawer = twin.Rasterizer(prepared)
     assert len(drawer.splats.divisors()) == 3
     np.testing.assert_array_equal(drawer.draw(camera(), 0.2, hit=True).hit, wanted.hit)

@@ -107,7 +107,7 @@ def wet():
     """Scene, terrain, settings and the states of a small wet scene."""
     scene = tiny_scene()
     config = Config.from_preset("downpour").replace(
-        past=6e-3, extent=1.0, spacing=0.025, frames=2, fps=10.0
+        past=6e-3, extent=1.0, spacing=0.025, frames=2, fps=10.0, streak_far=4.0
     )
     ground = pipeline.extract_terrain(scene, config)
     states = pipeline.simulate(ground, config)

@@ -52,9 +52,15 @@ def test_a_bare_capture_gets_a_level_ground_a_scale_and_views_of_it():
     assert (np.einsum("ni,ni->n", ahead, to / np.linalg.norm(to, axis=1)[:, None]) > 0.9).all()
 
 
+@pytest.fixture(scope="module")
+def one():
+    """What is assumed of a capture in metres."""
+    return assumed_ground_frame(capture(patio(), 1.0))
+
+
 @pytest.mark.parametrize("units", [100.0, 0.01])
-def test_what_is_assumed_does_not_depend_on_the_captures_unit(units):
-    one, other = (assumed_ground_frame(capture(patio(), u)) for u in (1.0, units))
+def test_what_is_assumed_does_not_depend_on_the_captures_unit(one, units):
+    other = assumed_ground_frame(capture(patio(), units))
     assert other.meters_per_unit * units == pytest.approx(one.meters_per_unit, rel=1e-3)
     assert degrees(one.up, other.up) < 0.1
     assert one.notes[1].split("the ground is")[1] == other.notes[1].split("the ground is")[1]

@@ -390,6 +390,9 @@ def test_all_water_on_a_top_knows_its_top_also_at_the_rim(tilt, eye):
     assert wet_tops.top_below(maps(made), *beside)[0] == -1
 
 
+LAYERS = (*aov.NEEDED, "water_depth", "reflection_source")
+
+
 @pytest.fixture(scope="module")
 def shots():
     """A frame of a small scene with a wide table, its layers, and the frame without its water."""
@@ -403,7 +406,7 @@ def shots():
         made = extract_terrain(scene, settings)
         state = next(s for s in simulate(made, settings) if s.index == 1)
         renderer = Renderer(scene, made, settings, camera)
-        picture, report = renderer.draw(camera, state, None, tuple(aov.AOVS))
+        picture, report = renderer.draw(camera, state, None, LAYERS)
         found.append((picture.copy(), report, renderer))
     return found
 
