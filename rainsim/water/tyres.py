@@ -301,7 +301,7 @@ class Tyres:
         return lifted, lifted
 
     def _landings_of(self, table, ids, own):
-        """Return when and where the drops of a table of throws come down, see `_landing`."""
+        """Return when and where the drops of a table of throws come down, see `Landings`."""
         parcels = parcels_of(table, ids)
         age = landing_age(parcels)
         place, _ = flown(parcels, age)

@@ -7,6 +7,7 @@ CUDA_ONLY = {
     "driver.py",  # events of streams, without numba's wrappers
     "frame_uniforms.py",  # numbers of a frame that a recorded queue reads
     "graph.py",  # recorded queues
+    "moving_map.py",  # windows of a map that are sent
     "kernel_cache.py",  # machine code on disk, by numba-cuda's classes
     "rain/impact_history.py",  # hits of the last frames, which the CPU computes again
     "rain/drip_list.py",  # drips in the air, which the CPU keeps in one array
