@@ -208,7 +208,7 @@ def _draw_bars(axis, title, bars):
         left = {name: at + w for (name, at), w in zip(left.items(), widths, strict=True)}
     axis.invert_yaxis()
     axis.set(title=title, xlabel="milliseconds")
-    axis.legend(fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+    axis.legend(fontsize=7, ncols=3, loc="upper right", bbox_to_anchor=(1.0, -0.26))
 
 
 def draw_marks(path, panels, title):
