@@ -249,9 +249,7 @@ def put_on(bed, top, underside, shadow):
     """
     here = np.empty(shadow.top.shape, np.bool_)
     rows, columns = shadow.part
-    _put_on(
-        bed, shadow.top, shadow.underside, rows.start, columns.start, top, underside, here
-    )
+    _put_on(bed, shadow.top, shadow.underside, rows.start, columns.start, top, underside, here)
     return here
 
 

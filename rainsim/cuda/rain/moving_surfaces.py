@@ -38,9 +38,7 @@ class MovingHeights:
         highest = max((footprint.highest for footprint in footprints), default=-np.inf)
         self.fields = fields._replace(sky=max(fields.sky, highest + ABOVE))
         self._staging = Staging(stream)
-        self._maps = {
-            name: MovingMap(getattr(self.fields, name), self._staging) for name in FIELDS
-        }
+        self._maps = {name: MovingMap(getattr(self.fields, name), self._staging) for name in FIELDS}
         self._there, self._are_still = still, True
 
     def send(self, surfaces):
