@@ -37,7 +37,10 @@ class AovReader:
         state : SimState or DeviceState
         """
         frame, conductor = self._frame, self._frame.conductor
-        inputs, capture = conductor.frame, conductor.wet_scene.capture
+        inputs, scene = conductor.frame, conductor.wet_scene
+        capture = scene.capture
+        if scene.take_tracks(state.tracks):  # which the device has laid on its own map alone
+            inputs.put("scene", scene, scene.changes)
         for name in ("picture", "below", "depth", "clearance", "dazzling"):
             inputs.put(name, frame[name].copy_to_host())
         cover, light = frame.passes.rain.cover(), frame.passes.drop_light
