@@ -316,19 +316,21 @@ class Simulation:
         """Return throws and their ids of a step, at the earliest the last but one."""
         if self._traffic is None:
             return NOTHING_THROWN
-        self.begin(index)
-        if index == self._begun:
-            self.complete()
+        self._await(index)
         return self._traffic.thrown[index % 2]
 
     def tracks(self, index):
         """Return the tracks of a step on the host, at the earliest the last but one; waits."""
         if self._traffic is None:
             return NO_TRACKS
+        self._await(index)
+        return self._traffic.tracks_of(index)
+
+    def _await(self, index):
+        """Begin a step, unless it has begun, and wait for it."""
         self.begin(index)
         if index == self._begun:
             self.complete()
-        return self._traffic.tracks_of(index)
 
     def thin_film(self, index, film, ground_out, stream):
         """Queue the thinning of the film under a step's tracks, at the earliest the last but one's.
