@@ -39,17 +39,16 @@ class MovingHeights:
         self.fields = fields._replace(sky=max(fields.sky, highest + ABOVE))
         self._staging = Staging(stream)
         self._maps = {name: MovingMap(getattr(self.fields, name), self._staging) for name in FIELDS}
-        self._there, self._are_still = still, True
+        self._there = still
 
     def send(self, surfaces):
         """Send those of `MovingSurfaces.moment`; the device must draw nothing meanwhile."""
         if surfaces is self._there:
             return
-        self._there = surfaces
-        found, windows = surfaces.height_fields(), surfaces.changes
+        found = surfaces.height_fields()
         for name, there in self._maps.items():
-            there.send(getattr(found, name), windows)
-        if windows or not self._are_still:
+            there.send(getattr(found, name), surfaces.changes)
+        if surfaces.changes or self._there.changes:
             for name in BLOCKS:
                 self._staging.send(getattr(self.fields, name), getattr(found, name))
-        self._are_still = not windows
+        self._there = surfaces

@@ -112,7 +112,8 @@ class Account:
     def let_through(self, exposure):
         """Let another share (ny, nx), float32, of the rain fall on the cells, from `update` on."""
         self.open, self._whole = exposure, _sum_of(exposure)
-        self._most, self._at = exposure.max(), int(exposure.argmax())
+        self._at = int(exposure.argmax())
+        self._most = exposure.flat[self._at]
         self.shelter(exposure, [])
 
     def shelter(self, exposure, windows):

@@ -153,7 +153,7 @@ class Traffic:
         self._moving = MovingSurfaces(terrain, speed_and_direction, roughness)
         self.tyres = tyres_of(terrain, config, kind=DeviceTyres)
         self._footprints, self._exposure = terrain.footprints, exposure
-        self._shelters, self._sheltered, self._opened = None, [], exposure.copy()
+        self._shelters, self._opened = [], exposure.copy()
         self._road = self._heights = self._water = self.tracks = None
         self.thrown = [NOTHING_THROWN, NOTHING_THROWN]
 
@@ -183,14 +183,13 @@ class Traffic:
         shelters = self._moving.moment(self._middle)[1]
         if shelters is self._shelters:
             return
-        self._shelters = shelters
-        before, self._sheltered = self._sheltered, [part for part, _ in shelters]
-        for part in before:
+        for part, _ in self._shelters:
             self._opened[part] = self._exposure[part]
         for part, let_through in shelters:
             self._opened[part] *= let_through
-        if before or shelters:
-            self._water.shelter(self._opened, self._sheltered)
+        if self._shelters or shelters:
+            self._water.shelter(self._opened, [part for part, _ in shelters])
+        self._shelters = shelters
 
     def roll(self, step, start, stop, weather):
         """Let tyres roll in a step from `start` to `stop` [s], see `Tyres.roll`; waits."""
