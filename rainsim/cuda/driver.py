@@ -31,10 +31,10 @@ def aligned(count):
 
 def checked(result):
     """Return the value of a driver's call, or raise BackendError if it failed."""
-    code, *values = result
-    if int(code) != 0:
+    code = result[0]
+    if code:
         raise BackendError(f"the CUDA driver answered {code.name} to a frame's queue")
-    return values[0] if values else None
+    return result[1] if len(result) > 1 else None
 
 
 @contextlib.contextmanager
@@ -95,10 +95,22 @@ class Event:
         if not SIMULATED:
             checked(driver.cuEventRecord(self._handle, handle_of(stream)))
 
+    def record_outside(self, stream):
+        """Mark the same; in a queue that is being recorded, each of its launches marks it."""
+        if not SIMULATED:
+            handle = handle_of(stream)
+            is_recorded = int(checked(driver.cuStreamIsCapturing(handle))) != 0
+            checked(driver.cuEventRecordWithFlags(self._handle, handle, int(is_recorded)))
+
     def wait(self, stream):
         """Let work that is queued on the stream from now on wait for the mark."""
         if not SIMULATED:
             checked(driver.cuStreamWaitEvent(handle_of(stream), self._handle, 0))
+
+    @property
+    def is_past(self):
+        """Whether all work before the mark is done."""
+        return SIMULATED or int(driver.cuEventQuery(self._handle)[0]) == 0
 
     def synchronize(self):
         """Let the host wait for the mark."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from rainsim.cuda.driver import aligned
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
+from rainsim.cuda.small_copies import copy_small
 
 _recorded = []  # lists of those sent while a queue is recorded, see `recording`
 
@@ -79,4 +80,4 @@ class FrameUniforms:
             for name, values in self.host.items():
                 self.device[name].copy_to_device(values)
         else:
-            self._sent.copy_to_device(self._bytes, stream=self.stream if stream is None else stream)
+            copy_small(self._bytes, self._sent, self.stream if stream is None else stream)

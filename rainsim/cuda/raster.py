@@ -21,6 +21,7 @@ from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
 from rainsim.cuda.lod.room import DeviceRoom
+from rainsim.cuda.small_copies import copy_small
 from rainsim.cuda.splatting import blend, project
 from rainsim.cuda.splatting.prepared import MOST_NUMBERS, DeviceSplats
 from rainsim.cuda.splatting.sort import sorter
@@ -450,18 +451,27 @@ class Rasterizer:
                 value, begin, end, record, now, width, height, flat, across,
                 np.float32(1 / across), *pictures,
             )  # fmt: skip
-        self._total.copy_to_host(self.room.count, stream=stream)
+        copy_small(self._total, self.room.count, stream)
 
     def grow(self, spare=1.0):
         """Make room, times `spare`, if the finished picture lacked any; return whether it did."""
-        lacking = self.room.overflows()
+        lacking = self.lacks
         if lacking:
             self._make_room(spare)
         return lacking
 
-    def make_ahead(self):
-        """Make room where little is left, and free what pictures in turn have left unused."""
+    @property
+    def lacks(self):
+        """Whether the finished picture had too little room."""
+        return self.room.overflows()
+
+    def make_ahead(self, wait=cuda.synchronize):
+        """Make room where little is left, and free what pictures in turn have left unused.
+
+        Before, `wait` is called: the device must use nothing of it.
+        """
         if self.room.count_picture() or self.room.is_tight():
+            wait()
             self._make_room()
 
     def is_amiss(self):

@@ -40,6 +40,8 @@ from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.water.keyframed import moved_water
 from rainsim.water.ripples import LAYERS
 
+ACCOUNTS = 3  # of steps: a picture comes when up to two more steps have begun
+
 
 class DeviceState:
     """Water at one frame's time, on the device.
@@ -195,7 +197,7 @@ class Simulation:
         if self._traffic is not None:
             self._traffic.roll_over(self.water, self.impacts)
         self._ready, self._drawn = Event(), (Event(), Event())  # a step; what draws either page
-        self._queues, self._accounts = {}, [None, None]  # parts of a step by name and page
+        self._queues, self._accounts = {}, [None] * ACCOUNTS  # parts of a step by name and page
         self._index = self._begun = self._complete = self._late = -1
         self._fallen = 0.0  # m of rain since the start
         self.is_shown = False
@@ -220,6 +222,11 @@ class Simulation:
             middle = time - 0.5 / self.config.fps
             self._fallen += mm_per_hour(self.weather.rate(middle)) / self.config.fps
         return DeviceState(index, time, self, self.notes if index == 0 else ())
+
+    @property
+    def is_idle(self):
+        """Whether the step that has begun is done, so that `begin` need not wait."""
+        return self._ready.is_past
 
     def follows(self, index):
         """Return whether a step is at most one after the last that has begun.
@@ -268,6 +275,7 @@ class Simulation:
             coming = range(index + 1, index + 2 + FRAMES_AHEAD)
             middles = (0.5 * sum(self._interval(n)) for n in coming)
             self._traffic.cover(*middles)
+        self._drawn[page].wait(self.impacts.stream)  # the last frame that sees what it overwrites
         self.impacts.list_beside()
 
     def _run(self, index, name, queue):
@@ -310,7 +318,7 @@ class Simulation:
         if self._traffic is not None:
             self._traffic.look(index % 2)
             tyres = copy.copy(self._traffic.tyres)
-        self._accounts[index % 2] = control, fallen, drips, self._objects.inflow, tyres
+        self._accounts[index % ACCOUNTS] = control, fallen, drips, self._objects.inflow, tyres
 
     def thrown(self, index):
         """Return throws and their ids of a step, at the earliest the last but one."""
@@ -409,11 +417,11 @@ class Simulation:
     def ledger(self, index):
         """Return the account of the water up to a frame, m3, as `rainsim.simulation` gives it.
 
-        It must be the frame that has begun last, or the one before.
+        It must be one of the last three frames that have begun.
         """
         if index == self._begun:
             self.complete()
-        control, fallen, drips, inflow, tyres = self._accounts[index % 2]
+        control, fallen, drips, inflow, tyres = self._accounts[index % ACCOUNTS]
         came = fallen * VOLUME_UNIT
         returned, held, airborne = 0.0, came + self._objects.initial, 0.0
         if drips is not None:

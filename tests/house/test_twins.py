@@ -17,6 +17,7 @@ CUDA_ONLY = {
     "render/lanes.py",  # streams, and which of them waits for which
     "splatting/sort.py",  # the sort of all tiles' entries at once
     "scalars.py",  # sums and lists over a grid of threads
+    "small_copies.py",  # numbers between the host's pinned memory and the device
     "solver.py",  # the water alone, for which the CPU has `rainsim/grid.py` itself
     "timing.py",  # events
     "warp.py",  # instructions of a warp

@@ -39,6 +39,7 @@ from rainsim.cuda.rain.drip_list import (
     cell_of,
 )
 from rainsim.cuda.rain.settling import VOLUME_UNIT, ring
+from rainsim.cuda.small_copies import copy_small
 from rainsim.cuda.warp import THREADS
 from rainsim.cuda.water.step_control import UNIT, block_sum
 from rainsim.errors import BackendError
@@ -379,7 +380,7 @@ class Drips:
             self._store, self._room, self._parted, self.came[1 - page], *now, water.waiting,
             ripples.pushes,
         )  # fmt: skip
-        now.book.copy_to_host(self.account, stream=stream)
+        copy_small(now.book, self.account, stream)
 
     def check(self):
         """Raise BackendError if a finished step had too little room."""

@@ -14,6 +14,7 @@ from rainsim.cuda.driver import Event
 from rainsim.cuda.drops import Impacts, Listed, room_for
 from rainsim.cuda.graph import Graph, chain
 from rainsim.cuda.jit import SIMULATED, cuda, pinned
+from rainsim.cuda.small_copies import copy_small
 from rainsim.errors import BackendError
 from rainsim.particles.splash import LONGEST_LIFE
 
@@ -118,7 +119,7 @@ class RecentImpacts(Impacts):
         """Queue the listing and the copy of its counts that `check` reads."""
         stream = self.stream if stream is None else stream
         super().launch(stream)
-        self.lists.found.copy_to_host(self._seen, stream=stream)
+        copy_small(self.lists.found, self._seen, stream)
 
     def list_beside(self):
         """Queue the listing on the own stream; it is recorded the first time, which waits."""
@@ -133,7 +134,7 @@ class RecentImpacts(Impacts):
     def settle(self, water, ripples, stream=0, drips=None):
         """Queue what `Impacts.settle` does, and the copy to `fallen`."""
         super().settle(water, ripples, stream, drips)
-        self.obstacles.copy_to_host(self.fallen, stream=stream)
+        copy_small(self.obstacles, self.fallen, stream)
 
     def check(self):
         """Raise BackendError if a finished list had too little room."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from rainsim.constants import ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel, pinned
+from rainsim.cuda.small_copies import copy_small
 from rainsim.reflection.mirror_choice import LEAST_SHARE, LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS
 from rainsim.scene.view import pixel_ray, view_from
 
@@ -213,4 +214,4 @@ class LevelChoice:
         choose_levels[1, THREADS, stream](
             self._count, self._first_bin, self.most, self._everywhere, self.served, self._wanted
         )
-        self._wanted.copy_to_host(self._wanted_seen, stream=stream)
+        copy_small(self._wanted, self._wanted_seen, stream)

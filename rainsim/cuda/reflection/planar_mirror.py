@@ -298,6 +298,12 @@ class Mirrors:
         """The values that a recorded queue depends on."""
         return self._version, *(rasterizer.queue for rasterizer in self._rasterizers)
 
+    @property
+    def lacks(self):
+        """Whether the frame wanted more passes, or more room in them, than there are."""
+        wanted = self._levels.wanted
+        return len(self._passes) < wanted or any([each.lacks for each in self._rasterizers])
+
     def grow(self):
         """Make the room that the finished frame wanted; return whether it lacked any."""
         lacking = len(self._passes) < self._levels.wanted
@@ -310,10 +316,13 @@ class Mirrors:
                 rasterizer.update(*self._mirrored)
         return any([lacking, *[each.grow(SPARE) for each in self._rasterizers]])
 
-    def make_ahead(self):
-        """Make room where little is left, and free the room that pictures in turn left unused."""
+    def make_ahead(self, wait=cuda.synchronize):
+        """Make room where little is left, and free the room that pictures in turn left unused.
+
+        Before, `wait` is called: the device must use nothing of it.
+        """
         for rasterizer in self._rasterizers:
-            rasterizer.make_ahead()
+            rasterizer.make_ahead(wait)
 
     def _new_pass(self):
         """Return one more pass: beside the others, with memory of its own, if there is plenty."""

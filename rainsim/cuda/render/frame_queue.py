@@ -1,11 +1,13 @@
 """The order in which frames are queued: work of the host, overlap of frames, recorded queues.
 
 A frame has four recorded queues. The first splats; where there is memory for it, that of the next
-frame lies beside the water of this one. The second grades what was splatted; that of the next frame
-begins as soon as the device has drawn this frame's, before the host knows whether there was room
-for all. Beside it lies the third, the water's surface, which waits for the simulation's step; the
-device takes that step while it draws the frame before. The fourth needs both. The picture goes to
-the host while the next frame is drawn.
+frame lies beside the water of this one. The second grades what was splatted. Beside it lies the
+third, the water's surface, which waits for the simulation's step; the device takes that step while
+it draws the frame before. The fourth needs both.
+
+The host launches the first three of the next frame as soon as the device has graded this one, and
+the fourth as soon as it knows that this one had room for all, which is before it is composed. Then
+it prepares the frame after the next, while the picture of this one goes to the host.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from rainsim.render.frame import DRY, SPLAT, SURFACE, WET
 MOST_TRIES = 8  # of a frame for which there was too little room
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Flight:
     """A frame that is on its way.
 
@@ -37,11 +39,14 @@ class Flight:
         See `DeviceFrame`.
     begin : float [s]
         When its queue began.
+    picture : HostPicture or None
+        That it is copied to; None: not yet.
     """
 
     shot: tuple
     look: tuple
     begin: float = 0.0
+    picture: HostPicture | None = None
 
     @property
     def state(self):
@@ -119,8 +124,8 @@ class Recordings:
 
     def wet(self, page):
         """Return the queue of all else, of a page of the simulation."""
-        passes, stream = self._frame.passes, self._frame.stream
-        queue = chain([partial(passes.lanes.queue, WET, stream), passes.rain.count_lines])
+        stream = self._frame.stream
+        queue = partial(self._frame.passes.lanes.queue, WET, stream)
         if not self._fits(WET):
             self._wet = {}
             self._prepare(WET, (queue, stream))
@@ -129,30 +134,49 @@ class Recordings:
         return self._wet[page]
 
 
+class HostPicture:
+    """A picture on the host that one of the device is copied to.
+
+    Attributes
+    ----------
+    values : ndarray of shape (height, width, 3), uint8
+    copied : Event
+        Of the last copy.
+    """
+
+    def __init__(self):
+        self.values, self.copied = np.zeros((0, 0, 3), np.uint8), Event()
+
+
 class HostPictures:
     """Two pictures on the host, which those of the device are copied to in turn."""
 
     def __init__(self):
-        self._stream, self.copied = cuda.stream(), Event()
-        self._pictures, self._count = (), 0
+        self._stream, self._each = cuda.stream(), (HostPicture(), HostPicture())
+        self._count = 0
 
     def room_for(self, size):
         """Allocate pictures of another size, (height, width) [px]."""
         shape = (*size, 3)
-        if not self._pictures or self._pictures[0].shape != shape:
-            self._pictures = [pinned(shape, np.uint8) for _ in range(2)]
+        for picture in self._each:
+            if picture.values.shape != shape:
+                picture.values = pinned(shape, np.uint8)
 
     @property
     def last(self):
-        """The picture copied last, ndarray of shape (height, width, 3), uint8."""
-        return self._pictures[self._count % 2]
+        """The picture copied last, a `HostPicture`."""
+        return self._each[self._count % 2]
 
     def copy(self, frame, composed):
-        """Queue the copy of a `DeviceFrame`'s picture, once it is `composed`, an Event."""
+        """Queue the copy of a `DeviceFrame`'s picture, once it is `composed`, an Event; return it.
+
+        What the next but one is copied to is the same again.
+        """
         composed.wait(self._stream)
         self._count += 1
-        frame.copy_image(self.last, self._stream)
-        self.copied.record(self._stream)
+        frame.copy_image(self.last.values, self._stream)
+        self.last.copied.record(self._stream)
+        return self.last
 
 
 class FrameQueue:
@@ -166,7 +190,7 @@ class FrameQueue:
     ----------
     pictures : HostPictures
     done : Flight or None
-        The frame that was finished last.
+        The frame whose picture is on the host.
     """
 
     def __init__(self, frame):
@@ -192,54 +216,72 @@ class FrameQueue:
 
     def draw(self, shot):
         """Draw a shot (camera, state, camera_end) and wait for it."""
-        self.pictures.copied.synchronize()  # a sequence may have been left in the middle
+        self.pictures.last.copied.synchronize()  # a sequence may have been left in the middle
         self._update(shot)
         self._begin()
         self._go_on()
-        self._finish(self._flight)
+        self._check(self._flight)
+        self._show(self._flight)
 
     def draw_each(self, shots, report):
-        """Yield `report()` after each shot; the next one is begun before that one is finished.
+        """Yield `report()` after each shot; two that follow are begun before one is waited for.
+
+        A frame's queue is whole as soon as it is known that the one before had room for all, which
+        is before that is composed. Then the next shot is asked for and prepared.
 
         Parameters
         ----------
         shots : iterable
-            Of (camera, state, camera_end). While one is drawn, the next is asked for.
+            Of (camera, state, camera_end).
         report : callable
-            Called as soon as a shot is finished.
+            Called as soon as the picture of a shot is on the host.
         """
-        before = None
-        self.pictures.copied.synchronize()
+        checked = flying = None  # frames: one whose picture is not yet shown, and the one after
+        self.pictures.last.copied.synchronize()
         for shot in shots:
-            if before is not None and not self._fits(shot):
-                self._finish(before)
-                yield report()
-                before = None
-                self._keep_state(False)
+            if flying is not None and not self._fits(shot):
+                yield from self._land(checked, flying, report)
+                checked = flying = None
             if self.frame.size is None:
                 self.draw(shot)
                 yield report()
                 continue
-            if (simulation := simulation_of(shot[1])) is not None:
+            simulation = simulation_of(shot[1])
+            if simulation is not None and simulation.is_idle:
                 simulation.begin(shot[1].step)  # the host prepares the frame meanwhile
             self._update(shot)
-            early = before is not None and self._may_overlap()
+            if checked is not None:
+                self._show(checked)
+                yield report()
+            early = flying is not None and self._may_overlap()
             if early:
                 self._begin()
-            if before is not None:
-                self._finish(before, early)
-                finished = report()
+            if flying is not None:
+                self._check(flying, early)
+            if not early and flying is not None:
+                flying.picture.copied.synchronize()  # what is sent is not read meanwhile
             if not early or self._recorded.is_stale:
                 self._begin()
             self._go_on()
-            if before is not None:
-                yield finished
-            before = self._flight
+            checked, flying = flying, self._flight
             self._keep_state(True)
-        if before is not None:
-            self._finish(before)
-            self._keep_state(False)
+        if flying is not None:
+            yield from self._land(checked, flying, report)
+
+    def _land(self, checked, flying, report):
+        """Yield `report()` after the frames that are still on their way."""
+        if checked is not None:
+            self._show(checked)
             yield report()
+        self._check(flying)
+        self._show(flying)
+        self._keep_state(False)
+        yield report()
+
+    def _show(self, flight):
+        """Wait for the picture of a checked frame."""
+        flight.picture.copied.synchronize()
+        self.done = flight
 
     def _keep_state(self, is_shown):
         """Tell the simulation whether it must keep the state of the frame before."""
@@ -322,46 +364,46 @@ class FrameQueue:
         if simulation is not None:
             simulation.before(self.stream)
             self.frame.take_water(state)
-        self.pictures.copied.wait(self.stream)
+        self.pictures.last.copied.wait(self.stream)
         self._surfaced.wait(self.stream)
         self._recorded.wet(page).launch()
         if simulation is not None:
             simulation.after(self.stream, page)
         self._composed.record(self.stream)
-        self.pictures.copy(self.frame, self._composed)
+        self._flight.picture = self.pictures.copy(self.frame, self._composed)
 
-    def _finish(self, flight, early=False):
-        """Wait for a frame; draw it again if there was too little room.
+    def _check(self, flight, early=False):
+        """Draw a frame again, and wait for it, if there was too little room.
 
         Another frame may have been prepared since, and `early`: begun, which shows that this frame
         had no more splats than there was room for.
         """
-        frame, simulation = self.frame, simulation_of(flight.state)
+        frame, passes, simulation = self.frame, self.frame.passes, simulation_of(flight.state)
         ahead, latest = self._next, self._flight
-        self.pictures.copied.synchronize()
+        dry = [] if early else passes.dry_rasterizers()
+        passes.wait_for_counts()
         for _ in range(MOST_TRIES):
-            lacking = simulation is not None and simulation.lacked(flight.state.step)
-            lacking |= frame.passes.grow()
-            if not early:
-                lacking |= any([splats.grow() for splats in frame.passes.dry_rasterizers()])  # all
-            if not lacking:
+            late = simulation is not None and simulation.lacked(flight.state.step)
+            if not (late or passes.lacks or any(splats.lacks for splats in dry)):
                 break
             cuda.synchronize()
+            passes.grow()
+            for splats in dry:
+                splats.grow()
             self._update(flight.shot)
             frame.send_chunks()
-            self._flight, early = flight, False
+            self._flight, early, dry = flight, False, passes.dry_rasterizers()
             self._launch_dry()
             self._launch_surface()
             self._go_on()
-            self.pictures.copied.synchronize()
-        for splats in frame.passes.dry_rasterizers():
-            if not early:
-                splats.make_ahead()
-        frame.passes.mirrors.make_ahead()
+            flight.picture.copied.synchronize()
+        for splats in dry:
+            splats.make_ahead()
+        passes.mirrors.make_ahead()
         drawn_again = self._next is not ahead
         if drawn_again or self._recorded.is_stale:
             self._update(ahead.shot)
-        self._flight, self.done = latest, flight
+        self._flight = latest
         if drawn_again and latest is not flight:
             self._launch_dry()
             self._launch_surface()

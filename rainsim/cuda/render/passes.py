@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from rainsim.cuda.driver import Event
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.particles.drop_radiance import DropLight
 from rainsim.cuda.reflection import ray_water, screen_space, water_shading, wet_tops
@@ -59,6 +60,7 @@ class Passes:
         self.ground_light, self.drop_light = WetGroundLight(frame), DropLight(frame)
         self.glare = None if conductor.config.render.glare == "off" else Glare(frame)
         aside, beside = cuda.stream(), cuda.stream()
+        self._counted = Event(), Event()
         capture = conductor.wet_scene.capture
         self.actors = None if capture.actors is None else MovingActors(frame)
         self.rain = RainPass(frame, self.actors, self.surface)
@@ -70,10 +72,10 @@ class Passes:
             "light of drops": Launch(self.drop_light.launch, aside),
             "list drops": Launch(self.rain.send, beside),
             "streaks": Launch(self.rain.draw_streaks, beside),
-            "list splashes": Launch(self.rain.list_splashes, aside),
+            "list splashes": Launch(self._list_splashes, aside),
             "splashes": Launch(self.rain.draw_splashes, beside),
             "find water": Launch(self._find_water),
-            "mirror": Launch(self.mirrors.launch),
+            "mirror": Launch(self._mirror),
             "water": Launch(self._lay_water), "compose": Launch(self._compose),
         }  # fmt: skip
         if (light := self.ground_light).level is not None:
@@ -105,6 +107,16 @@ class Passes:
         light = self.ground_light
         return [self._frame.rasterizer, *light.rasterizers, *light.lamps]
 
+    def wait_for_counts(self):
+        """Wait until it is known how much room the frame's water and rain need."""
+        for counted in self._counted:
+            counted.synchronize()
+
+    @property
+    def lacks(self):
+        """Whether the frame's water and rain had too little room."""
+        return self.mirrors.lacks or self.rain.lacks
+
     def grow(self):
         """Make room where the finished frame's water and rain lacked it; return whether any did."""
         return any([self.mirrors.grow(), self.rain.grow()])  # both
@@ -133,6 +145,14 @@ class Passes:
         screen_space.join_bounds[-(-len(frame["bounds"]) // joiners), joiners, stream](
             *frame.size, frame["bounds"]
         )
+
+    def _list_splashes(self, stream):
+        self.rain.list_splashes(stream)
+        self._counted[0].record_outside(stream)
+
+    def _mirror(self, stream):
+        self.mirrors.launch(stream)
+        self._counted[1].record_outside(stream)
 
     def _find_water(self, stream):
         frame = self._frame

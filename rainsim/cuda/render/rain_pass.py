@@ -11,6 +11,7 @@ from rainsim.cuda.particles.splash_pass import Splashes
 from rainsim.cuda.particles.streaks import Streaks
 from rainsim.cuda.rain.dripping import DripList
 from rainsim.cuda.rain.impact_history import RecentImpacts
+from rainsim.cuda.small_copies import copy_small
 from rainsim.drops import RainField, RainSpectrum
 from rainsim.particles.fog import NO_FOG, fog_table
 from rainsim.particles.line_raster import NEAR
@@ -160,29 +161,28 @@ class RainPass:
             if self.impacts is not None:
                 self.impacts.launch(stream)
             self.splashes.gather(stream)
+            copy_small(self.splashes.count, self._lines, stream)
 
     def draw_splashes(self, stream):
         """Queue the drawing of the listed splashes, after the picture of the falling drops."""
         if self.splashes is not None:
             self.splashes.draw(stream)
 
-    def count_lines(self):
-        """Queue the copy of the number of splash lines, by which the host makes room."""
-        if self.splashes is not None:
-            self.splashes.count.copy_to_host(self._lines, stream=self.stream)
-
     # ---- what comes back
+
+    @property
+    def lacks(self):
+        """Whether there was too little room for the frame's splashes."""
+        if self.splashes is not None and self.impacts is not None:
+            self.impacts.check()
+        return self.splashes is not None and int(self._lines[0]) > len(self.splashes.lines)
 
     def grow(self):
         """Make room where the finished frame's splashes lacked it; return whether they did."""
-        if self.splashes is None:
-            return False
-        if self.impacts is not None:
-            self.impacts.check()
-        lines = int(self._lines[0])
-        if full := lines > len(self.splashes.lines):
-            self.splashes.make_room(2 * lines)
-        return full
+        lacking = self.lacks
+        if lacking:
+            self.splashes.make_room(2 * int(self._lines[0]))
+        return lacking
 
     def dependencies(self):
         """Return the values that a recorded queue depends on, one for each list that it draws."""

@@ -101,8 +101,7 @@ class Renderer:
         parts = {"numbers": frame.uniforms.send, "splat": splat}
         for part in (DRY, SURFACE, WET):
             parts.update(passes.each(part, stream))
-        parts["counts"] = passes.rain.count_lines
-        parts["copy"] = lambda: frame.copy_image(self.queue.pictures.last)
+        parts["copy"] = lambda: frame.copy_image(self.queue.pictures.last.values)
         return part_times(stream, parts)
 
     def _report(self, names=()):
@@ -111,7 +110,7 @@ class Renderer:
         stages = {"frame": (clock.perf_counter() - done.begin) * 1e3}
         if names:
             self._aovs.make(names, done.state)
-        return self.queue.pictures.last, report_of(self.conductor, done.state, stages, names)
+        return done.picture.values, report_of(self.conductor, done.state, stages, names)
 
 
 def _require_known(render):

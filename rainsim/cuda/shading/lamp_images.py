@@ -18,6 +18,7 @@ from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel, pinned
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
+from rainsim.cuda.small_copies import copy_small
 from rainsim.scene.view import view_from
 from rainsim.shading.ground_slopes import block_ray
 from rainsim.shading.lamp_images import FINE_RESOLUTION, WORTH_FINE, LampView, lamp_light, scaled
@@ -281,25 +282,30 @@ class Lamps:
         """Return the camera of the finer picture and the room of its arrays, columns and rows."""
         return scaled(level, FINE_RESOLUTION), self.fine.picture.shape[1::-1]
 
-    def is_amiss(self):
-        """Return whether the finished frame lacked the finer picture."""
+    @property
+    def lacks(self):
+        """Whether the finished frame lacked the finer picture."""
         return self.fine is None and self._seen_share[0] > WORTH_FINE
+
+    def is_amiss(self):
+        """Return the same."""
+        return self.lacks
 
     def grow(self):
         """Draw the finer picture from now on if the finished frame lacked it; return if it did."""
-        lacking = self.is_amiss()
+        lacking = self.lacks
         if lacking:
             self.fine = FinePicture(self._splats, self._stream)
         return lacking
 
-    def make_ahead(self):
+    def make_ahead(self, wait=cuda.synchronize):
         """Do nothing: what a frame lacks is known when it is finished."""
 
     def search(self, seen, size, horizon, camera, stream):
         """Queue the search for the lamps of a level picture, see `Search.launch`."""
         found = self._share, self._many, self._lamps
         self._search.launch(seen, size, horizon, camera, False, found, stream)
-        self._share.copy_to_host(self._seen_share, stream=stream)
+        copy_small(self._share, self._seen_share, stream)
 
     def search_fine(self, horizon, eye, forward, stream):
         """Queue the search in the finer picture, whose lamps count where lamps have much light."""

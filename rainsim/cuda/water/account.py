@@ -13,6 +13,7 @@ from rainsim.cuda.driver import fetch, to_device
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import pinned
 from rainsim.cuda.moving_map import joined
+from rainsim.cuda.small_copies import copy_small
 from rainsim.cuda.water import step_control
 from rainsim.cuda.water.step_control import (
     ADDED,
@@ -140,7 +141,7 @@ class Account:
 
     def copy(self):
         """Queue the copy of `control` to `seen`."""
-        self.control.copy_to_host(self.seen, stream=self._stream)
+        copy_small(self.control, self.seen, self._stream)
 
     def fetch(self):
         """Return `control` on the host; waits for it."""
