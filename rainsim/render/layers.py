@@ -287,6 +287,7 @@ def _glare(dazzling, shown, render):
     return np.zeros_like(dazzling) if render.glare == "off" else dazzling - shown
 
 
+layer("falling", name="drops of the picture")(rain_layers.find_falling)
 for _name in ("drop_flow", "near_alpha", "spray_alpha", "rain_depth"):
     layer(_name)(getattr(rain_layers, _name))
 layer("near_depth", "streak_depth", "spray_depth")(rain_layers.element_depths)

@@ -8,11 +8,12 @@ through, that of the other drops follows by a division.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
-from rainsim.particles.line_raster import NEAR
+from rainsim.particles.drop_paths import SAMPLES, path_sums
 from rainsim.particles.spray import CUT, lay_clouds, spray_seen
 from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.dripping import drips_seen
@@ -20,8 +21,16 @@ from rainsim.render.rain_pass import draw_spray, drawn_reach
 from rainsim.scene.view import camera_points, corner_rays, image_point
 
 NEAR_DROPS = 2.0  # m: drops nearer than this are an element of their own
-SAMPLES = 24  # places on a drop's path at which its motion and its depth are recorded
 AHEAD = 0.3  # m above the view: drops there fall into it while the shutter is open
+
+
+class Falling(NamedTuple):
+    """What a picture draws that falls: rows of place [m], velocity [m/s] and diameter [m]."""
+
+    spray: np.ndarray  # (n, 7) drops that tyres throw
+    rain: np.ndarray  # (n, 7) in the order of their own numbers
+    drips: np.ndarray  # (n, 7)
+    clouds: object  # of spray, see `particles.spray.spray_seen`
 
 
 def project(points, camera):
@@ -58,36 +67,53 @@ def _spray(ground_camera, time, render, field, throws):
     return drops[:0] if field is not None and render.streaks == "paper" else drops, clouds
 
 
-def drop_flow(rain_alpha, depth, ground_camera, next_ground_camera, time, render, field, interval):
+def find_falling(ground_camera, ground_camera_end, time, render, field, drips, throws):
+    """Return what a picture draws that falls, `Falling`, and some drops around it."""
+    spray, clouds = _spray(ground_camera, time, render, field, throws)
+    if field is None:
+        return Falling(spray, spray[:0], spray[:0], clouds)
+    far = np.full(len(field.velocity), render.streak_far)
+    if render.streaks != "paper":
+        far = drawn_reach(field, ground_camera, render)
+    # A box for each class around what is seen up to the depth at which it is fog.
+    seen = []
+    for camera in (ground_camera, ground_camera_end or ground_camera):
+        rays = np.concatenate([np.zeros((1, 3)), corner_rays(camera)]) * far[:, None, None]
+        seen.append(rays @ camera.camera_from_world[:3, :3] + camera.position)
+    box = np.concatenate(seen, axis=1)
+    found = field.drops_in_box(time, box.min(axis=1), box.max(axis=1) + np.array([0, 0, AHEAD]))
+    size = np.searchsorted(field.spectrum.edges, found.diameter, side="right") - 1
+    away = project(found.position, ground_camera)[:, 2]
+    shown = (away < far[np.clip(size, 0, len(far) - 1)]) & (away > 0)
+    listed = np.column_stack([found.position, found.velocity, found.diameter])
+    dripping = drips_seen(drips[0], time, render.exposure)
+    return Falling(spray, listed[shown], dripping, clouds)
+
+
+def drop_flow(
+    rain_alpha, depth, ground_camera, next_ground_camera, render, field, interval, falling
+):
     """Return the motion of drops in the picture, the mean over the drops in a pixel.
 
-    The camera's own motion is part of it. Each drop counts with the light that it replaces; zero
-    where there are none.
+    The camera's own motion is part of it. Each drop that the picture draws counts with the light
+    that it replaces; zero where there are none.
     """
-    height, width = rain_alpha.shape
-    flow = np.zeros((height * width, 2))
-    weight = np.zeros(height * width)
+    height, width = depth.shape
     if field is None:
-        return flow.reshape(height, width, 2).astype(np.float32)
-    found = _drops_in_view(field, ground_camera, time, render.streak_far)
-    after = found.position + found.velocity * interval
-    ends = (
-        project(found.position, ground_camera),
-        project(after, ground_camera if next_ground_camera is None else next_ground_camera),
-    )
-    opened = render.exposure / interval
-    for at, which, cover, _ in _samples(*ends, found.diameter, opened, depth, render.streak_far):
-        move = (ends[1] - ends[0])[which, :2]
-        np.add.at(weight, at, cover)
-        np.add.at(flow, at, cover[:, None] * move)
-    flow /= np.maximum(weight, 1e-30)[:, None]
+        return np.zeros((height, width, 2), np.float32)
+    next_camera = ground_camera if next_ground_camera is None else next_ground_camera
+    weight, _, *flow = path_sums(
+        falling.rain, interval, (ground_camera, next_camera), render.exposure / interval, depth,
+        render.streak_far,
+    )  # fmt: skip
+    flow = np.stack(flow, axis=-1) / np.maximum(weight, 1e-30)[:, None]
     flow[rain_alpha.ravel() <= 0] = 0
     return flow.reshape(height, width, 2).astype(np.float32)
 
 
 def rain_depth(
-    rain_alpha, splash_alpha, depth, surface_depth, ground_camera, ground_camera_end, time, render,
-    field, drips, throws,
+    rain_alpha, splash_alpha, depth, surface_depth, ground_camera, ground_camera_end, render,
+    falling,
 ):  # fmt: skip
     """Return the depth of drops, splashes and spray [m], infinite where there are none.
 
@@ -95,9 +121,8 @@ def rain_depth(
     them, which splashes count at. A pixel that a drop touches only with its edge takes the depth of
     the nearest one whose middle is known.
     """
-    lines, clouds = _falling(ground_camera, time, render, field, drips, throws)
-    cameras = ground_camera, ground_camera_end
-    weight, total = _gathered(np.concatenate(lines), clouds, *cameras, render, depth)
+    cameras, lines = (ground_camera, ground_camera_end), np.concatenate(falling[:3])
+    weight, total = _gathered(lines, falling.clouds, *cameras, render, depth)
     splashes = -np.log1p(-np.minimum(splash_alpha.ravel(), 0.9999).astype(np.float64))
     splashes[~np.isfinite(depth.ravel())] = 0
     weight += splashes
@@ -107,36 +132,20 @@ def rain_depth(
 
 def element_depths(
     rain_alpha, near_alpha, spray_alpha, depth, surface_depth, ground_camera, ground_camera_end,
-    time, render, field, drips, throws,
+    render, falling,
 ):  # fmt: skip
     """Return `rain_depth` of near drops alone, of all other drops, and of spray."""
-    (spray, falling, dripping), clouds = _falling(ground_camera, time, render, field, drips, throws)
     rest = ground_camera, ground_camera_end, render, depth
     rounded = 1e-6
     past_both = (1 - near_alpha) * (1 - spray_alpha) - rounded
-    far = _gathered(falling, None, *rest, nearest=NEAR_DROPS)
-    dripped = _gathered(dripping, None, *rest)
+    near = _gathered(falling.rain, None, *rest, farthest=NEAR_DROPS)
+    far = _gathered(falling.rain, None, *rest, nearest=NEAR_DROPS)
+    dripped = _gathered(falling.drips, None, *rest)
     return (
-        _mean(*_gathered(falling, None, *rest, farthest=NEAR_DROPS), near_alpha > 0, surface_depth),
+        _mean(*near, near_alpha > 0, surface_depth),
         _mean(far[0] + dripped[0], far[1] + dripped[1], 1 - rain_alpha < past_both, surface_depth),
-        _mean(*_gathered(spray, clouds, *rest), spray_alpha > 0, surface_depth),
+        _mean(*_gathered(falling.spray, falling.clouds, *rest), spray_alpha > 0, surface_depth),
     )
-
-
-def _falling(ground_camera, time, render, field, drips, throws):
-    """Return drops of spray, of the rain and drips as lists of lines, and the clouds of spray."""
-    spray, clouds = _spray(ground_camera, time, render, field, throws)
-    if field is None:
-        return [spray, spray[:0], spray[:0]], clouds
-    far = np.full(len(field.velocity), render.streak_far)
-    if render.streaks != "paper":
-        far = drawn_reach(field, ground_camera, render)
-    found = _drops_in_view(field, ground_camera, time, render.streak_far)
-    size = np.searchsorted(field.spectrum.edges, found.diameter, side="right") - 1
-    away = project(found.position, ground_camera)[:, 2]
-    shown = away < far[np.clip(size, 0, len(far) - 1)]
-    listed = np.column_stack([found.position, found.velocity, found.diameter])
-    return [spray, listed[shown], drips_seen(drips[0], time, render.exposure)], clouds
 
 
 def _gathered(
@@ -146,21 +155,15 @@ def _gathered(
 
     Both are flat arrays. Drops count from the depth `nearest` to `farthest` [m].
     """
-    weight, total = np.zeros(depth.size), np.zeros(depth.size)
-    after = lines[:, :3] + lines[:, 3:6] * render.exposure
-    ends = (
-        project(lines[:, :3], ground_camera),
-        project(after, ground_camera if ground_camera_end is None else ground_camera_end),
-    )
+    cameras = ground_camera, ground_camera_end or ground_camera
+    between = nearest, farthest
+    weight, total = path_sums(
+        lines, render.exposure, cameras, 1.0, depth, render.streak_far, between
+    )[:2]
     # A drop's alphas sum to its area in pixels.
     area = math.pi / 4 * ground_camera.fx * ground_camera.fy / SAMPLES
-    for at, _, cover, z in _samples(*ends, lines[:, 6], 1.0, depth, render.streak_far):
-        counts = (z >= nearest) & (z < farthest)
-        at, cover, z = at[counts], cover[counts], z[counts]
-        np.add.at(weight, at, area * cover)
-        np.add.at(total, at, area * cover * z)
     # A drop is drawn in the two pixels beside its path, the samples are in one of them.
-    weight, total = (_spread(values.reshape(depth.shape)).ravel() for values in (weight, total))
+    weight, total = (_spread(area * a.reshape(depth.shape)).ravel() for a in (weight, total))
     if clouds is not None:
         _add_clouds(clouds, ground_camera, depth, weight, total)
     return weight, total
@@ -180,40 +183,6 @@ def _mean(weight, total, shows, depth):
         )
         out[shows] = np.minimum(mean[tuple(nearest)], depth)[shows]
     return out
-
-
-def _drops_in_view(field, ground_camera, time, far):
-    """Return the `Drops` of a box around what a camera sees up to the depth `far` [m]."""
-    box = np.concatenate([corner_rays(ground_camera) * far, np.zeros((1, 3))])
-    box = box @ ground_camera.camera_from_world[:3, :3] + ground_camera.position
-    return field.drops_in_box(time, box.min(axis=0), box.max(axis=0) + np.array([0, 0, AHEAD]))
-
-
-def _samples(start, after, diameter, opened, depth, far):
-    """Yield for places on the paths of drops: pixel, drop, square of its visual angle, depth [m].
-
-    Parameters
-    ----------
-    start, after : ndarray of shape (n, 3)
-        Image point and depth, see `project`.
-    diameter : ndarray of shape (n,) [m]
-    opened : float
-        Share of the way from `start` to `after` while the shutter is open.
-    depth : ndarray of shape (height, width) [m]
-        Places behind it are left out, as are those beyond `far` [m].
-    """
-    height, width = depth.shape
-    ahead = np.flatnonzero((start[:, 2] > NEAR) & (after[:, 2] > NEAR))
-    start, after = start[ahead], after[ahead]
-    cover = diameter[ahead] ** 2 / start[:, 2] ** 2
-    for k in range(SAMPLES):
-        part = opened * (k + 0.5) / SAMPLES
-        u, v, z = (start + part * (after - start)).T
-        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (z < far)
-        at = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
-        before = z[inside] < depth.ravel()[at]
-        which = np.flatnonzero(inside)[before]
-        yield at[before], ahead[which], cover[which], z[which]
 
 
 def _spread(values):
