@@ -83,7 +83,8 @@ def find_falling(ground_camera, ground_camera_end, time, render, field, drips, t
     box = np.concatenate(seen, axis=1)
     found = field.drops_in_box(time, box.min(axis=1), box.max(axis=1) + np.array([0, 0, AHEAD]))
     size = np.searchsorted(field.spectrum.edges, found.diameter, side="right") - 1
-    away = project(found.position, ground_camera)[:, 2]
+    axis = ground_camera.camera_from_world[2]
+    away = found.position @ axis[:3] + axis[3]
     shown = (away < far[np.clip(size, 0, len(far) - 1)]) & (away > 0)
     listed = np.column_stack([found.position, found.velocity, found.diameter])
     dripping = drips_seen(drips[0], time, render.exposure)
