@@ -39,20 +39,6 @@ class Shadow(NamedTuple):
     top: np.ndarray
     underside: np.ndarray
 
-    def widened(self, margin, shape):
-        """Return the part with a margin of cells around it on a map of a shape, and itself in that.
-
-        Both are two slices: rows and columns of the map, and of that wider part.
-        """
-        wide = tuple(
-            slice(max(s.start - margin, 0), min(s.stop + margin, n))
-            for s, n in zip(self.part, shape, strict=True)
-        )
-        inner = tuple(
-            slice(s.start - w.start, s.stop - w.start) for s, w in zip(self.part, wide, strict=True)
-        )
-        return wide, inner
-
 
 @dataclass(frozen=True)
 class Footprint:

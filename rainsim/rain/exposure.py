@@ -10,6 +10,7 @@ from scipy import ndimage
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.io import cache
 from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.numerics.windows import widened, window_of
 from rainsim.rain.size_distribution import terminal_speed
 from rainsim.rain.wind import wind_shares
 
@@ -61,19 +62,18 @@ def computed_exposure(terrain, wind, roughness=0.0):
 
 def _blurred(share, deviation):
     """Blur the edges of shelters, in place; where all around is open, the share stays as it is."""
-    left, right, low, high = _box_of(share < 1)
-    if not math.isnan(left):
+    sheltered = window_of(share < 1)
+    if sheltered is not None:
         around = 2 * (math.ceil(4 * deviation) + 1)  # the filter ends at 4 deviations
-        part = tuple(slice(max(int(a) - around, 0), int(b) + around + 1)
-                     for a, b in ((low, high), (left, right)))  # fmt: skip
+        part, _ = widened(sheltered, around, share.shape)
         share[part] = ndimage.gaussian_filter(share[part], deviation)
     return share.astype(np.float32, copy=False)
 
 
 def _box_of(mask):
     """Return the first and last column and row of a mask's cells, float32 (4,); NaN of none."""
-    found = [np.flatnonzero(mask.any(axis=axis)) for axis in (0, 1)]
-    ends = [(n[0], n[-1]) if n.size else (np.nan, np.nan) for n in found]
+    window = window_of(mask)
+    ends = [(s.start, s.stop - 1) for s in reversed(window)] if window else np.full(4, np.nan)
     return np.array(ends, np.float32).ravel()
 
 

@@ -197,10 +197,9 @@ class Conductor:
         surfaces, shelters = ground.moving.moment(time)
         if self._common_rings is not None:
             return surfaces, *self._common_rings
-        windows = [part for part, _ in shelters]
         if self._coming_on is ground and time in self._coming:
-            return surfaces, self._coming[time].result(), windows
-        return surfaces, self._rings(ground, shelters), windows
+            return surfaces, *self._coming[time].result()
+        return surfaces, *self._rings(ground, shelters)
 
     @contextmanager
     def bands_of(self, camera, time):
@@ -217,15 +216,15 @@ class Conductor:
             self.ground.film.share_level(None)
 
     def _rings(self, ground, shelters):
-        """Return the amplitude of rings on each cell of a part of the ground with shelters."""
-        before, rings = self._ringed
+        """Return what `sheltered_rings` does for a part of the ground with shelters."""
+        before, found = self._ringed
         if shelters is not before:
-            rings = sheltered_rings(
+            found = sheltered_rings(
                 ground.rings, ground.ring_share, self.wet_scene.ground.reach, shelters,
                 ground.terrain.grid.spacing, self._ring_reach,
             )  # fmt: skip
-            self._ringed = shelters, rings
-        return rings
+            self._ringed = shelters, found
+        return found
 
     def look_ahead(self, times, kept=()):
         """Begin to find where things are at some times [s], and their rings, on other threads.

@@ -16,6 +16,7 @@ import scipy.fft
 from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY, WATER_VISCOSITY
 from rainsim.errors import ParameterError, require_not_negative, require_positive
 from rainsim.numerics.random import mix
+from rainsim.numerics.windows import widened
 from rainsim.rain.size_distribution import drop_volume, terminal_speed
 
 FOOTPRINT = 5e-3  # m; a Gaussian push of this width has its energy peak at 200 rad/m
@@ -29,6 +30,7 @@ LAYERS = 2  # of the tile on the water, one turned against the other: each rings
 BLOCKS_AROUND = 6  # by which rings are followed across the map, see `block_reach`
 USUAL_CHORD = 0.5  # m, of a captured patio's puddles: their rings are drawn as the tile has them
 _LONGEST_STEP = 1 / 60  # s; impacts of one such step are born together, its end
+BESIDE = 1.25  # m around a shelter in which rings lack those of the drops that it keeps off
 ROWS = 64  # of a spectrum that are worked on at once
 MOST_KEPT = 1 << 19  # cells of a map whose factors of the spectrum are kept
 
@@ -447,18 +449,23 @@ def sheltered_rings(rings, share, rained, shelters, spacing, reach):
     -------
     ndarray of shape (ny, nx), float32
         `rings` itself without actors.
+    windows : list of tuple of slice
+        Rows and columns in which it differs.
     """
     if not shelters:
-        return rings
-    rings, margin = rings.copy(), _margin(spacing)
+        return rings, []
+    rings, windows, margin = rings.copy(), [], math.ceil(BESIDE / spacing)
     for part, let_through in shelters:
-        kept_off = rained[part] * (1 - let_through)
-        shape = tuple(_fast(n + margin) for n in kept_off.shape)
+        window, inner = widened(part, margin, rings.shape)
+        kept_off = np.zeros([s.stop - s.start for s in window], np.float32)
+        np.multiply(rained[part], 1 - let_through, out=kept_off[inner])
+        shape = tuple(_fast(n + 2 * margin) for n in let_through.shape)
         lost = _spread(scipy.fft.rfft2(kept_off, s=shape), shape, spacing, *reach)
         lost = lost[tuple(map(slice, kept_off.shape))]
-        before = np.maximum(np.square(share[part]), np.float32(1e-12))
-        rings[part] *= np.sqrt(np.clip(1 - lost / before, 0, 1))
-    return rings
+        before = np.maximum(np.square(share[window]), np.float32(1e-12))
+        rings[window] *= np.sqrt(np.clip(1 - lost / before, 0, 1))
+        windows.append(window)
+    return rings, windows
 
 
 def tile_impacts(impacts, map_area, size, time):

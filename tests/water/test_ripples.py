@@ -258,11 +258,14 @@ def test_rings_beside_what_moves_are_those_of_the_rain_that_it_lets_through():
         thinned[part] *= let_through
         shelters.append((part, let_through))
     share = ring_share(rained, spacing, *reach)
-    found = sheltered_rings(2 * share, share, rained, shelters, spacing, reach)
+    found, windows = sheltered_rings(2 * share, share, rained, shelters, spacing, reach)
     wanted = 2 * ring_share(thinned, spacing, *reach)
     np.testing.assert_allclose(found, wanted, atol=4e-3)
     assert np.abs(found - 2 * share).max() > 1
-    assert sheltered_rings(share, share, rained, [], spacing, reach) is share
+    for window in windows:
+        found[window] = 2 * share[window]
+    np.testing.assert_array_equal(found, 2 * share)  # no other cells differ
+    assert sheltered_rings(share, share, rained, [], spacing, reach) == (share, [])
 
 
 def test_rings_travel_in_under_cover_and_fade_there():
