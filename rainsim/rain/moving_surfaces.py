@@ -20,7 +20,7 @@ from rainsim.terrain.types import Grid
 # kernels are short, and take one core each.
 AHEAD = ThreadPoolExecutor(8, initializer=lambda: set_threads(1))
 FRAMES_AHEAD = 4  # of which what moves is looked for: it takes longer than a GPU draws two
-MARGIN = 1.0  # m around an actor in which it thins the rain, besides what the wind adds
+MARGIN = 0.35  # m around an actor in which it thins the rain, besides what the wind adds: the blur
 SLOWEST = 4.0  # m/s: drops of 1 mm, the slowest whose paths the exposure follows
 
 
