@@ -98,7 +98,7 @@ class Tyres:
         reach = step * math.ceil(PATCH / (step * spacing))
         j, i = np.mgrid[-reach : reach + 1 : step, -reach : reach + 1 : step]
         near = np.hypot(j, i) * spacing <= max(PATCH, 0.5 * spacing)
-        self._patch = np.column_stack([j[near], i[near]])
+        self._patch = np.stack([j[near], i[near]])
         self._stands = terrain.top - terrain.bed > STANDS
 
     def start(self, solver, weather, time=0.0):
@@ -305,24 +305,20 @@ class Tyres:
         parcels = parcels_of(table, ids)
         age = landing_age(parcels)
         place, _ = flown(parcels, age)
-        grid, count = self._terrain.grid, len(self._patch)
-        cell = np.floor((place[:, :2] - grid.origin) / grid.spacing).astype(np.int64)[:, ::-1]
-        cells = (cell[:, None] + self._patch).reshape(-1, 2)
-        inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
-        cells[~inside] = -1
-        each = parcels.volume / count
+        cell = np.floor((place[:, :2] - self._terrain.grid.origin) / self._terrain.grid.spacing)
         return np.column_stack([
-            np.repeat(parcels.begin + age, count), cells, np.repeat(each, count),
-            np.repeat(each * own[parcels.row], count),
+            parcels.begin + age, cell[:, ::-1], parcels.volume, parcels.volume * own[parcels.row],
         ])  # fmt: skip
 
     def _land(self, solver, time):
-        """Bring down the thrown water that lands up to a time [s]."""
-        down = self._landings.due(time)
-        cells, volume, own = down[:, 1:3].astype(np.int64), down[:, 3], down[:, 4]
-        inside = cells[:, 0] >= 0
-        self.gone += float(own[~inside].sum())
-        (row, column), volume, own = cells[inside].T, volume[inside], own[inside]
+        """Bring down the thrown water that lands up to a time [s]: parcels, each on a patch."""
+        down, (ny, nx) = self._landings.due(time), self._terrain.grid.shape
+        row, column = (down[:, 1:3].astype(np.int64)[..., None] + self._patch).swapaxes(0, 1)
+        inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
+        row, column = row[inside], column[inside]
+        each = down[:, 3:] / self._patch.shape[1]
+        volume, own = (np.broadcast_to(a[:, None], inside.shape)[inside] for a in each.T)
+        self.gone += float((each[:, 1] * (~inside).sum(axis=1)).sum())
         held = self._stands[row, column]
         self.kept += float(own[held].sum())
         self._put_down(solver, row[~held], column[~held], volume[~held], own[~held])
