@@ -21,13 +21,15 @@ so beside its number.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import gammaincinv
 
 from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY
-from rainsim.io.states import AT
+from rainsim.io.states import AT, THROW_COLUMNS
+from rainsim.jit import serial_kernel
 from rainsim.numerics.random import mix, subkey, uniform_triple
 from rainsim.rain.size_distribution import LARGEST, terminal_speed
 
@@ -176,7 +178,17 @@ def mean_diameter(speed):
 
 
 def parcels_of(table, ids):
-    """Return the `Parcels` of a table of throws and its ids (n,) uint64."""
+    """Return the `Parcels` of a table of throws and its ids (n,) uint64, for reading.
+
+    Those of the last tables are kept: water that comes down is asked for first, its drops then.
+    """
+    return _parcels_of(np.ascontiguousarray(table).tobytes(), ids.tobytes())
+
+
+@lru_cache(4)
+def _parcels_of(table, ids):
+    table = np.frombuffer(table).reshape(-1, len(THROW_COLUMNS))
+    ids = np.frombuffer(ids, np.uint64)
     ways, numbers = np.arange(4, dtype=np.int64), np.arange(PARCELS, dtype=np.int64)
     words = subkey(subkey(ids[:, None], ways)[..., None], numbers)
     row, way, number = (a.ravel() for a in np.broadcast_arrays(
@@ -317,14 +329,24 @@ def _longest_flight(parcels):
 def landing_age(parcels):
     """Return how long [s] parcels fly before they come down on the road, at most `FLIGHT`."""
     falling, own, ease = _flight(parcels)
-    low, high = np.zeros(len(parcels.row)), np.full(len(parcels.row), FLIGHT)
-    start, falling, own = parcels.start[:, 2], falling[:, 2].copy(), own[:, 2].copy()
-    for _ in range(36):  # to a nanosecond
-        middle = 0.5 * (low + high)
-        height = start + falling * middle + own * (ease * -np.expm1(-middle / ease))
-        above = height > parcels.road
-        low, high = np.where(above, middle, low), np.where(above, high, middle)
-    return high
+    age = np.empty(len(ease))
+    _find_landing(parcels.start, falling, own, ease, parcels.road, age)
+    return age
+
+
+@serial_kernel
+def _find_landing(start, falling, own, ease, road, age_out):
+    """Write when parcels come down, see `landing_age`; the first three have a row for each."""
+    for n in range(len(ease)):
+        low, high = 0.0, FLIGHT
+        for _ in range(36):  # to a nanosecond
+            middle = 0.5 * (low + high)
+            flown = falling[n, 2] * middle - own[n, 2] * ease[n] * math.expm1(-middle / ease[n])
+            if start[n, 2] + flown > road[n]:
+                low = middle
+            else:
+                high = middle
+        age_out[n] = high
 
 
 def mist_left(table, time):

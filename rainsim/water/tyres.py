@@ -338,19 +338,17 @@ def _car(motion):
 
 def _swept(grid, begin, end, width):
     """Return rows and columns of the cells whose middles a tyre passes over on a straight way."""
-    half, (x0, y0), spacing = 0.5 * max(width, grid.spacing), grid.origin, grid.spacing
-    low, high = np.minimum(begin, end)[:2] - half, np.maximum(begin, end)[:2] + half
-    first = np.maximum(np.floor((low - (x0, y0)) / spacing).astype(int), 0)
-    last = np.minimum(np.ceil((high - (x0, y0)) / spacing).astype(int), grid.shape[::-1])
-    if (first >= last).any():
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    j, i = np.mgrid[first[1] : last[1], first[0] : last[0]]
-    x, y = x0 + (i + 0.5) * spacing - begin[0], y0 + (j + 0.5) * spacing - begin[1]
-    way = (end - begin)[:2]
-    length = np.hypot(*way)
+    half, spacing, first, middles = 0.5 * max(width, grid.spacing), grid.spacing, [], []
+    for a, b, least, count in zip(begin, end, grid.origin, grid.shape[::-1], strict=False):
+        low = max(math.floor((min(a, b) - half - least) / spacing), 0)
+        high = min(math.ceil((max(a, b) + half - least) / spacing), count)
+        first.append(low)
+        middles.append(least + (np.arange(low, high) + 0.5) * spacing - a)
+    (x, y), way = middles, (end - begin)[:2]
+    y, length = y[:, None], np.hypot(*way)
     along, aside = (x * way[0] + y * way[1]) / length, (y * way[0] - x * way[1]) / length
-    inside = (along >= 0) & (along < length) & (np.abs(aside) < half)
-    return j[inside], i[inside]
+    rows, columns = np.nonzero((along >= 0) & (along < length) & (np.abs(aside) < half))
+    return rows + first[1], columns + first[0]
 
 
 def _require_possible(motion):
