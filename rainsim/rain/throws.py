@@ -228,7 +228,8 @@ def _parcels_of(table, ids):
 
 def on_their_way(parcels, time):
     """Return the parcels that were thrown up to `FLIGHT` before a time [s]."""
-    return parcels.take((parcels.begin <= time) & (parcels.begin > time - FLIGHT))
+    there = (parcels.begin <= time) & (parcels.begin > time - FLIGHT)
+    return parcels if there.all() else parcels.take(there)
 
 
 def flying(table, ids, time):
@@ -381,9 +382,10 @@ def _joined(table, age, place, variance, section):
     bins = np.select([age > JOINED[1][0], age > JOINED[0][0]], [JOINED[1][1], JOINED[0][1]], 0.0)
     moment = np.where(bins > 0, np.floor(column(table, "begin") / np.maximum(bins, 1e-9)), 0.0)
     alone = np.where(bins > 0, 0.0, 1.0 + np.arange(len(table)))
-    key = np.column_stack([column(table, "car"), column(table, "covered"), bins, moment, alone])
-    _, which = np.unique(key, axis=0, return_inverse=True)
-    which = which.ravel()
+    key = np.stack([alone, moment, bins, column(table, "covered"), column(table, "car")])
+    order = np.lexsort(key)  # `np.unique` of rows takes four times as long
+    which = np.empty(len(order), np.int64)
+    which[order] = (np.diff(key[:, order], prepend=np.nan) != 0).any(axis=0).cumsum() - 1
     weight = np.bincount(which, section)
 
     def mean(values):
