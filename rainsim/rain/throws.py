@@ -331,7 +331,7 @@ def landing_age(parcels):
     """Return how long [s] parcels fly before they come down on the road, at most `FLIGHT`."""
     falling, own, ease = _flight(parcels)
     age = np.empty(len(ease))
-    _find_landing(parcels.start, falling, own, ease, parcels.road, age)
+    _find_landing(parcels.start, falling, own, ease, np.ascontiguousarray(parcels.road), age)
     return age
 
 
