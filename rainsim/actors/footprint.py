@@ -80,7 +80,11 @@ class Footprint:
     def ground_from_upright(self, pose):
         """Return rotation and shift [m] that take the upright frame to the ground at a pose."""
         scale = self.motion.frame.meters_per_unit
-        return pose.rotation @ np.linalg.inv(self.upright) * scale, pose.position
+        return pose.rotation @ self._from_upright * scale, pose.position
+
+    @cached_property
+    def _from_upright(self):
+        return np.linalg.inv(self.upright)
 
     def shadow(self, grid, time):
         """Return the `Shadow` on a `Grid` at a time [s]; None beside the map or while not there.
@@ -99,20 +103,20 @@ class Footprint:
         return {}
 
     @cached_property
-    def _middle(self):
-        return float(np.nanmean(self.top))
+    def _corners(self):
+        """The corners (4, 3) of the height fields [m], at their mean height."""
+        rows, columns = self.top.shape
+        steps = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]])
+        return np.column_stack(
+            [self.low + steps * self.spacing, np.full(4, float(np.nanmean(self.top)))]
+        )
 
     def _shadow(self, grid, time):
         pose = self.motion.at(time)
         if pose is None:
             return None
         rotation, shift = self.ground_from_upright(pose)
-        middle = self._middle
-        rows, columns = self.top.shape
-        ends = self.low + np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]]) * (
-            self.spacing
-        )
-        corners = np.column_stack([ends, np.full(4, middle)]) @ rotation.T + shift
+        corners, middle = self._corners @ rotation.T + shift, self._corners[0, 2]
         (x0, y0), (ny, nx) = grid.origin, grid.shape
         first = np.floor((corners[:, :2].min(axis=0) - (x0, y0)) / grid.spacing).astype(int)
         last = np.ceil((corners[:, :2].max(axis=0) - (x0, y0)) / grid.spacing).astype(int)

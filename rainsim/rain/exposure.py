@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from scipy import ndimage
@@ -48,16 +49,20 @@ def computed_exposure(terrain, wind, roughness=0.0):
     See `rain_exposure`, which keeps it.
     """
     share = np.empty(terrain.grid.shape, np.float32)
-    speed, direction = wind
     ceiling, box = np.float32(terrain.top.max()), _box_of(terrain.top > terrain.bed)
-    falls = terminal_speed(np.array(SHELTER_DIAMETERS))
-    slopes = speed * wind_shares(falls, roughness) / falls  # m sideways per m of fall
-    ways = np.outer(-slopes, (math.cos(direction), math.sin(direction))).astype(np.float32)
     _find_open_share(
-        terrain.bed, terrain.top, terrain.underside, np.float32(terrain.grid.spacing), ways,
-        ceiling, box, share,
+        terrain.bed, terrain.top, terrain.underside, np.float32(terrain.grid.spacing),
+        _ways(*wind, roughness), ceiling, box, share,
     )  # fmt: skip
     return _blurred(share, SHELTER_BLUR / terrain.grid.spacing)
+
+
+@lru_cache(8)
+def _ways(speed, direction, roughness):
+    """Return the ways up of drops in a wind, metres sideways per metre upwards, float32 (n, 2)."""
+    falls = terminal_speed(np.array(SHELTER_DIAMETERS))
+    slopes = speed * wind_shares(falls, roughness) / falls
+    return np.outer(-slopes, (math.cos(direction), math.sin(direction))).astype(np.float32)
 
 
 def _blurred(share, deviation):
