@@ -21,6 +21,7 @@ from rainsim.scene.splat_sets import own_turns
 
 LEAST_SPACING = 0.03  # m, of an actor's own cells: what is finer shows gaps between its splats
 CLOSING = 2  # cells: gaps up to twice as wide are closed
+KEPT = 8  # times whose shadow a footprint keeps
 HIGHER = np.float32(0.02)  # m over the bed that an actor must be in a cell to count there
 
 
@@ -89,12 +90,13 @@ class Footprint:
     def shadow(self, grid, time):
         """Return the `Shadow` on a `Grid` at a time [s]; None beside the map or while not there.
 
-        That of the last time is kept: a frame asks for it twice.
+        Those of the last times are kept: a frame asks for each twice, on two threads.
         """
         found = self._found.get((grid, time), self)
-        if found is self:  # another thread may ask for another time
+        if found is self:
             found = self._shadow(grid, time)
-            self._found.clear()
+            if len(self._found) >= KEPT:
+                self._found.clear()
             self._found[grid, time] = found
         return found
 
