@@ -29,7 +29,7 @@ from scipy.special import gammaincinv
 
 from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY
 from rainsim.io.states import AT, THROW_COLUMNS
-from rainsim.jit import serial_kernel
+from rainsim.jit import device_function, serial_kernel
 from rainsim.numerics.random import mix, subkey, uniform_triple
 from rainsim.rain.size_distribution import LARGEST, terminal_speed
 
@@ -90,6 +90,8 @@ class Parcels(NamedTuple):
     road : ndarray of shape (n,), float64 [m]
         Height of the ground below.
     id : ndarray of shape (n,), uint64
+    age : ndarray of shape (n,), float64 [s]
+        At which it comes down, see `landing_age`.
     """
 
     row: np.ndarray
@@ -102,6 +104,7 @@ class Parcels(NamedTuple):
     wind: np.ndarray
     road: np.ndarray
     id: np.ndarray
+    age: np.ndarray
 
     def take(self, where):
         """Return the parcels at `where`, a mask or indices."""
@@ -220,10 +223,14 @@ def _parcels_of(table, ids):
     deep = np.where(way < TREAD, np.minimum(column(table, "depth") / GROOVE_DEPTH, 1.0), 0.0)
     mean = np.where(way == FILM, FILM_DIAMETER, mean_diameter(speed) * (1 + COARSER * deep))
     diameter = np.clip(mean * gammaincinv(SHAPE, (number + size) / PARCELS), SMALLEST, LARGEST)
-    wind = table[:, AT["wind_x"] : AT["wind_y"] + 1]
-    return Parcels(
-        row, way, volume, diameter, begin + share * duration, start, velocity, wind, road, words
+    wind, road = (
+        np.ascontiguousarray(a) for a in (table[:, AT["wind_x"] : AT["wind_y"] + 1], road)
     )
+    parcels = Parcels(
+        row, way, volume, diameter, begin + share * duration, start, velocity, wind, road, words,
+        None,
+    )  # fmt: skip
+    return parcels._replace(age=landing_age(parcels))
 
 
 def on_their_way(parcels, time):
@@ -245,7 +252,7 @@ class KnownParcels:
         self._time = math.inf
 
     def flying(self, table, ids, time):
-        """Return those of `flying` that are over the road, and some that have just come down.
+        """Return those of `flying` that are over the road.
 
         Only parcels of new rows are computed as long as time goes on.
         """
@@ -255,7 +262,7 @@ class KnownParcels:
         goes_on = count > 0 and time >= self._time and np.array_equal(old, ids[:count])
         count = count if goes_on else 0
         parcels = parcels_of(table[count:], ids[count:])
-        lands = parcels.begin + _longest_flight(parcels)
+        lands = parcels.begin + parcels.age
         if goes_on:
             kept, new = self._parcels, parcels._replace(row=parcels.row + count)
             kept = kept._replace(row=kept.row - first)
@@ -305,45 +312,53 @@ def flown(parcels, age):
     t = v^2 / (g (v + s w)), v the fall speed, w the first speed through the air and s `AIR_DRAG`:
     quadratic drag made linear, so that the path has a closed form.
     """
-    falling, own, ease = _flight(parcels)
-    gone = -np.expm1(-age / ease)
-    place = parcels.start + falling * age[:, None] + own * (ease * gone)[:, None]
-    return place, falling + own * (1 - gone)[:, None]
+    place, velocity = np.empty_like(parcels.start), np.empty_like(parcels.start)
+    _fly(
+        parcels.diameter, parcels.wind, parcels.start, parcels.velocity, age, place, velocity
+    )
+    return place, velocity
 
 
-def _flight(parcels):
-    """Return the fall in the wind, the first velocity beyond it and t of `flown`."""
-    fall = terminal_speed(parcels.diameter)
-    falling = np.column_stack([parcels.wind, -fall])
-    through = np.linalg.norm(parcels.velocity - falling * [1, 1, 0], axis=1)
-    ease = fall**2 / (GRAVITY * (fall + AIR_DRAG * through))
-    return falling, parcels.velocity - falling, ease
+@serial_kernel
+def _fly(diameter, wind, start, velocity, age, place_out, velocity_out):
+    """Write place and velocity of parcels at their age (n,) [s], see `flown`."""
+    for n in range(len(age)):
+        fall, own, ease = _flight(diameter[n], wind[n], velocity[n])
+        gone = -math.expm1(-age[n] / ease)
+        for k in range(3):
+            falling = wind[n, k] if k < 2 else -fall
+            place_out[n, k] = start[n, k] + falling * age[n] + own[k] * (ease * gone)
+            velocity_out[n, k] = falling + own[k] * (1 - gone)
 
 
-def _longest_flight(parcels):
-    """Return how long [s] parcels fly at most: as if all drag had come before the fall."""
-    falling, own, ease = _flight(parcels)
-    high = parcels.start[:, 2] + np.maximum(own[:, 2], 0.0) * ease - parcels.road
-    return high / -falling[:, 2] + 1e-6  # of rounding
+@device_function
+def _flight(diameter, wind, velocity):
+    """Return the fall in still air, the first velocity beyond that and t of `flown`."""
+    fall = terminal_speed(diameter)
+    x, y, z = velocity[0] - wind[0], velocity[1] - wind[1], velocity[2]
+    through = math.sqrt(x * x + y * y + z * z)
+    return fall, (x, y, z + fall), fall * fall / (GRAVITY * (fall + AIR_DRAG * through))
 
 
 def landing_age(parcels):
     """Return how long [s] parcels fly before they come down on the road, at most `FLIGHT`."""
-    falling, own, ease = _flight(parcels)
-    age = np.empty(len(ease))
-    _find_landing(parcels.start, falling, own, ease, np.ascontiguousarray(parcels.road), age)
+    age = np.empty(len(parcels.road))
+    _find_landing(
+        parcels.diameter, parcels.wind, parcels.start, parcels.velocity, parcels.road, age
+    )
     return age
 
 
 @serial_kernel
-def _find_landing(start, falling, own, ease, road, age_out):
-    """Write when parcels come down, see `landing_age`; the first three have a row for each."""
-    for n in range(len(ease)):
+def _find_landing(diameter, wind, start, velocity, road, age_out):
+    """Write when parcels come down, see `landing_age`."""
+    for n in range(len(road)):
+        fall, own, ease = _flight(diameter[n], wind[n], velocity[n])
         low, high = 0.0, FLIGHT
         for _ in range(36):  # to a nanosecond
             middle = 0.5 * (low + high)
-            flown = falling[n, 2] * middle - own[n, 2] * ease[n] * math.expm1(-middle / ease[n])
-            if start[n, 2] + flown > road[n]:
+            flies = own[2] * (ease * -math.expm1(-middle / ease)) - fall * middle
+            if start[n, 2] + flies > road[n]:
                 low = middle
             else:
                 high = middle

@@ -18,7 +18,6 @@ from rainsim.rain.throws import (
     SLOWEST,
     column,
     flown,
-    landing_age,
     mist_left,
     mist_share,
     parcels_of,
@@ -303,11 +302,10 @@ class Tyres:
     def _landings_of(self, table, ids, own):
         """Return when and where the drops of a table of throws come down, see `Landings`."""
         parcels = parcels_of(table, ids)
-        age = landing_age(parcels)
-        place, _ = flown(parcels, age)
+        place, _ = flown(parcels, parcels.age)
         cell = np.floor((place[:, :2] - self._terrain.grid.origin) / self._terrain.grid.spacing)
         return np.column_stack([
-            parcels.begin + age, cell[:, ::-1], parcels.volume, parcels.volume * own[parcels.row],
+            parcels.begin + parcels.age, cell[:, ::-1], parcels.volume, parcels.volume * own[parcels.row],
         ])  # fmt: skip
 
     def _land(self, solver, time):
