@@ -25,4 +25,6 @@ def widened(window, margin, shape):
 
 def placed(inner, wide):
     """Return a window of a window of a map as one of the map."""
-    return tuple(slice(s.start + w.start, s.stop + w.start) for s, w in zip(inner, wide, strict=True))
+    return tuple(
+        slice(s.start + w.start, s.stop + w.start) for s, w in zip(inner, wide, strict=True)
+    )

@@ -111,10 +111,10 @@ def _find_open_share(bed, top, underside, spacing, ways, ceiling, box, share_out
             # At most a cell sideways, two cells up.
             step = spacing / max(abs(dx), max(abs(dy), HALF))
             free[:] = ONE
-            for k in range(int(math.ceil((ceiling - lowest) / step))):
+            for k in range(math.ceil((ceiling - lowest) / step)):
                 rise = np.float32(k) * step
-                aside = int(math.floor(rise * dx / spacing + HALF))
-                row = j + int(math.floor(rise * dy / spacing + HALF))
+                aside = math.floor(rise * dx / spacing + HALF)
+                row = j + math.floor(rise * dy / spacing + HALF)
                 if not (row >= lowest_row and row <= highest_row):  # as all rows of no cells
                     continue
                 left, right = max(int(first) - aside, 0), min(int(last) + 1 - aside, nx)

@@ -179,7 +179,7 @@ def _blocks_of(part, side, margin, shape):
 
 
 def reduce_blocks(reduce, values, side=BLOCK):
-    """Reduce blocks of side x side values to one each by minimum or maximum; the last may be smaller.
+    """Reduce blocks of side x side values to their minima or maxima; the last may be smaller.
 
     By reductions along whole axes, in a third of the time of `reduceat`.
     """

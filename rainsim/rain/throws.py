@@ -34,6 +34,10 @@ from rainsim.numerics.random import mix, subkey, uniform_triple
 from rainsim.rain.size_distribution import LARGEST, terminal_speed
 
 WAYS = BOW, SIDE, TREAD, FILM = range(4)
+# Columns of a table of throws, as kernels take them.
+BEGIN, END, X, Y, Z, X_END, Y_END, OUT, WIDTH, RADIUS, COVERED, DEPTH = (AT[name] for name in (
+    "begin", "end", "x", "y", "z", "x_end", "y_end", "out_x", "width", "radius", "covered", "depth",
+))  # fmt: skip
 RIB_SHARE = 0.75  # of a tyre's width that is rubber and not groove
 CLINGING = 1e-4  # m of water that clings to the rubber
 GROOVE_DEPTH = 8e-3  # m, of a new tyre: what the tread can hold
@@ -46,6 +50,7 @@ MOST_MIST = 0.5  # share of a way; beyond the speeds that were measured
 # Mean diameter of drops from a groove at its Weber number; sizes go with the root of one over it.
 MEAN_DIAMETER, WEBER, GROOVE_WIDTH = 0.8e-3, 2700.0, 5.5e-3  # m, 1, m
 LARGEST_MEAN = 1.5e-3  # m; an assumption: below 3 m/s no sizes were measured
+LEAST_WEBER = WEBER * (MEAN_DIAMETER / LARGEST_MEAN) ** 2
 FILM_DIAMETER = 1e-4  # m, mean of drops of the clinging film, its own thickness; an assumption
 COARSER = 1.0  # share by which drops of waves of water as deep as the grooves are larger; assumed
 SHAPE = 4  # of the mass over diameters, a gamma distribution: numbers fall exponentially; assumed
@@ -58,10 +63,11 @@ SLOWEST = 0.3  # m/s, below which water closes behind a tyre without being throw
 PARCELS = 16  # drops of one size that fly together, of each way in each step
 
 # How the four ways leave the tyre: assumptions, by eye after pictures of tyres on wet roads.
-LEAVES, GUARD = np.radians((15.0, 30.0)), math.radians(40.0)  # mean angle behind the contact at
-# which tread and film let go; the wheel's housing takes what stays on longer
+# Mean angle behind the contact at which tread and film let go; the wheel's housing takes what stays
+# on longer.
+LEAVES, GUARD = (math.radians(15.0), math.radians(30.0)), math.radians(40.0)
 SPREAD = 0.08  # of the speed: sideways, of what the tread throws
-AHEAD = np.radians((35.0, 80.0))  # of the bow wave, from straight ahead to the side
+AHEAD = math.radians(35.0), math.radians(80.0)  # of the bow wave, from straight ahead to the side
 SIDE_SPEED, BOW_SPEED = (0.30, 0.70), (0.20, 0.50)  # of the tyre's speed
 LOW, HIGH = math.radians(6.0), math.radians(32.0)  # of waves: over a film; over water as deep as
 # the grooves, and deeper
@@ -170,14 +176,14 @@ def mist_share(speed, section):
     return np.clip(density * section * speed, 0.0, MOST_MIST)
 
 
+@device_function
 def mean_diameter(speed):
     """Return the mean diameter [m] of drops that leave a groove at a speed [m/s].
 
     0.8 mm at the Weber number 2700 of the groove's width (6 m/s), and with the root of one over it.
     """
-    weber = WATER_DENSITY * np.square(speed) * GROOVE_WIDTH / SURFACE_TENSION
-    with np.errstate(divide="ignore"):
-        return np.minimum(MEAN_DIAMETER * np.sqrt(WEBER / weber), LARGEST_MEAN)
+    weber = WATER_DENSITY * speed * speed * GROOVE_WIDTH / SURFACE_TENSION
+    return MEAN_DIAMETER * math.sqrt(WEBER / max(weber, LEAST_WEBER))
 
 
 def parcels_of(table, ids):
@@ -192,45 +198,63 @@ def parcels_of(table, ids):
 def _parcels_of(table, ids):
     table = np.frombuffer(table).reshape(-1, len(THROW_COLUMNS))
     ids = np.frombuffer(ids, np.uint64)
-    ways, numbers = np.arange(4, dtype=np.int64), np.arange(PARCELS, dtype=np.int64)
-    words = subkey(subkey(ids[:, None], ways)[..., None], numbers)
-    row, way, number = (a.ravel() for a in np.broadcast_arrays(
-        np.arange(len(table))[:, None, None], ways[:, None], numbers))  # fmt: skip
-    words = words.ravel()
+    row, way, number = np.nonzero(np.ones((len(table), 4, PARCELS), bool))
     volume = table[row, AT["bow"] + way] / PARCELS
     there = volume > 0
-    row, way, number, words, volume = (a[there] for a in (row, way, number, words, volume))
-    table = table[row]
-    early, angle, aside = uniform_triple(words)
-    quick, across, size = uniform_triple(mix(words ^ np.uint64(0x5A)))
-    begin, end = column(table, "begin"), column(table, "end")
-    way_x = column(table, "x_end") - column(table, "x")
-    way_y = column(table, "y_end") - column(table, "y")
-    duration = end - begin
-    speed = np.hypot(way_x, way_y) / duration
-    ahead = np.stack([way_x, way_y], axis=-1) / (speed * duration)[:, None]
-    out = np.stack([column(table, "out_x"), column(table, "out_y")], axis=-1)
-    share = (number + early) / PARCELS
-    place = table[:, AT["x"] : AT["y"] + 1] + share[:, None] * np.stack([way_x, way_y], axis=-1)
-    sense = np.where(number % 2 == 0, 1.0, -1.0)  # away from the car, under it
-    forward, sideways, up, back, offset, high = _leaving(
-        table, way, speed, sense, angle, aside, quick, across
-    )
-    start = np.column_stack([place - back[:, None] * ahead + offset[:, None] * out, high])
-    velocity = np.column_stack([forward[:, None] * ahead + sideways[:, None] * out, up])
-    road = column(table, "z")
-    start[:, 2] += road
-    deep = np.where(way < TREAD, np.minimum(column(table, "depth") / GROOVE_DEPTH, 1.0), 0.0)
-    mean = np.where(way == FILM, FILM_DIAMETER, mean_diameter(speed) * (1 + COARSER * deep))
-    diameter = np.clip(mean * gammaincinv(SHAPE, (number + size) / PARCELS), SMALLEST, LARGEST)
-    wind, road = (
-        np.ascontiguousarray(a) for a in (table[:, AT["wind_x"] : AT["wind_y"] + 1], road)
-    )
-    parcels = Parcels(
-        row, way, volume, diameter, begin + share * duration, start, velocity, wind, road, words,
-        None,
-    )  # fmt: skip
+    row, way, number, volume = (a[there] for a in (row, way, number, volume))
+    count = len(row)
+    words, begin, mean, size = np.empty(count, np.uint64), *np.empty((3, count))
+    start, velocity = np.empty((2, count, 3))
+    _throw(table.copy(), ids.copy(), row, way, number, words, begin, start, velocity, mean, size)
+    diameter = np.clip(mean * gammaincinv(SHAPE, size), SMALLEST, LARGEST)
+    wind, road = table[:, AT["wind_x"] : AT["wind_y"] + 1][row], column(table, "z")[row]
+    parcels = Parcels(row, way, volume, diameter, begin, start, velocity, wind, road, words, None)
     return parcels._replace(age=landing_age(parcels))
+
+
+@serial_kernel
+def _throw(
+    table, ids, row, way, number, words_out, begin_out, start_out, velocity_out, mean_out, size_out
+):
+    """Write how parcels leave: the number-th of each row of a table of throws and its way.
+
+    Parameters
+    ----------
+    table : ndarray of shape (t, 22), float64
+    ids : ndarray of shape (t,), uint64
+    row, way, number : ndarray of shape (n,), int64
+    words_out : ndarray of shape (n,), uint64
+        Ids of the parcels.
+    begin_out, start_out, velocity_out
+        As `Parcels` has them.
+    mean_out : ndarray of shape (n,), float64 [m]
+        Mean diameter of drops of this way.
+    size_out : ndarray of shape (n,), float64
+        Share of their mass in smaller drops.
+    """
+    for n in range(len(row)):
+        thrown = table[row[n]]
+        word = subkey(subkey(ids[row[n]], way[n]), number[n])
+        early, angle, aside = uniform_triple(word)
+        quick, across, size = uniform_triple(mix(word ^ np.uint64(0x5A)))
+        way_x, way_y = thrown[X_END] - thrown[X], thrown[Y_END] - thrown[Y]
+        duration = thrown[END] - thrown[BEGIN]
+        length = math.hypot(way_x, way_y)
+        speed, share = length / duration, (number[n] + early) / PARCELS
+        sense = 1.0 if number[n] % 2 == 0 else -1.0  # away from the car, under it
+        forward, sideways, up, back, offset, high = _leaving(
+            thrown, way[n], speed, sense, angle, aside, quick, across
+        )
+        for k, along in enumerate((way_x, way_y)):
+            ahead, out = along / length, thrown[OUT + k]
+            start_out[n, k] = thrown[X + k] + share * along - back * ahead + offset * out
+            velocity_out[n, k] = forward * ahead + sideways * out
+        start_out[n, 2], velocity_out[n, 2] = thrown[Z] + high, up
+        words_out[n], begin_out[n] = word, thrown[BEGIN] + share * duration
+        deep = min(thrown[DEPTH] / GROOVE_DEPTH, 1.0) if way[n] < TREAD else 0.0
+        groove = mean_diameter(speed) * (1 + COARSER * deep)
+        mean_out[n] = FILM_DIAMETER if way[n] == FILM else groove
+        size_out[n] = (number[n] + size) / PARCELS
 
 
 def on_their_way(parcels, time):
@@ -248,8 +272,7 @@ class KnownParcels:
     """The parcels of a table of throws that grows at its end and shrinks at its begin."""
 
     def __init__(self):
-        self._ids, self._parcels, self._lands = np.zeros(0, np.uint64), None, np.zeros(0)
-        self._time = math.inf
+        self._ids, self._parcels, self._time = np.zeros(0, np.uint64), None, math.inf
 
     def flying(self, table, ids, time):
         """Return those of `flying` that are over the road.
@@ -262,44 +285,47 @@ class KnownParcels:
         goes_on = count > 0 and time >= self._time and np.array_equal(old, ids[:count])
         count = count if goes_on else 0
         parcels = parcels_of(table[count:], ids[count:])
-        lands = parcels.begin + parcels.age
         if goes_on:
             kept, new = self._parcels, parcels._replace(row=parcels.row + count)
             kept = kept._replace(row=kept.row - first)
             parcels = Parcels(*(np.concatenate(both) for both in zip(kept, new, strict=True)))
-            lands = np.concatenate([self._lands, lands])
-        above = np.flatnonzero((lands > time) & (parcels.row >= 0))
+        above = (parcels.begin + parcels.age > time) & (parcels.row >= 0)
         self._ids, self._time = ids, time
-        self._parcels, self._lands = parcels.take(above), lands[above]
+        self._parcels = parcels.take(above)
         return on_their_way(self._parcels, time)
 
 
-def _leaving(table, way, speed, sense, angle, aside, quick, across):
-    """Return how parcels leave the tyre, by random numbers of 0 to 1.
+@device_function
+def _leaving(thrown, way, speed, sense, angle, aside, quick, across):
+    """Return how a parcel leaves the tyre, by random numbers of 0 to 1.
 
     Velocities ahead, to the side away from the car and up [m/s], and the place [m] behind the
     contact, to that side and above the road.
     """
-    radius, width = column(table, "radius"), column(table, "width")
-    wheel = way >= TREAD
-    scale = np.where(way == TREAD, *LEAVES)
-    turn = -scale * np.log1p(-angle * -np.expm1(-GUARD / scale))  # on the tyre, past the contact
-    deep = np.minimum(column(table, "depth") / GROOVE_DEPTH, 1.0)
-    lift = (LOW + (HIGH - LOW) * deep) * (0.5 + angle)
-    bow = way == BOW
-    azimuth = np.where(bow, AHEAD[0] + (AHEAD[1] - AHEAD[0]) * across, 0.5 * math.pi)
-    slow, fast = (np.where(bow, BOW_SPEED[k], SIDE_SPEED[k]) for k in (0, 1))
-    wave = speed * (slow + (fast - slow) * quick)
-    level = wave * np.cos(lift)
-    forward = np.where(wheel, speed * (1 - np.cos(turn)), level * np.cos(azimuth))
-    sideways = np.where(wheel, SPREAD * speed * (2 * aside - 1), sense * level * np.sin(azimuth))
-    up = np.where(wheel, speed * np.sin(turn), wave * np.sin(lift))
-    under = np.where(wheel, column(table, "covered") > 0, sense < 0)
-    most = np.sqrt(2 * GRAVITY * CLEARANCE * radius)
-    up = np.where(under, np.minimum(up, most), up)
-    back = np.where(wheel, radius * np.sin(turn), np.where(bow, -0.3 * radius, 0.0))
-    offset = np.where(wheel, width * (across - 0.5), 0.5 * sense * width)
-    high = np.where(wheel, radius * (1 - np.cos(turn)), 0.1 * radius * aside)
+    radius, width = thrown[RADIUS], thrown[WIDTH]
+    if way >= TREAD:
+        scale = LEAVES[0] if way == TREAD else LEAVES[1]
+        # On the tyre, past the contact.
+        turn = -scale * math.log1p(angle * math.expm1(-GUARD / scale))
+        forward, sideways = speed * (1 - math.cos(turn)), SPREAD * speed * (2 * aside - 1)
+        up, under = speed * math.sin(turn), thrown[COVERED] > 0
+        back, offset, high = (
+            radius * math.sin(turn), width * (across - 0.5), radius * (1 - math.cos(turn))
+        )  # fmt: skip
+    else:
+        deep = min(thrown[DEPTH] / GROOVE_DEPTH, 1.0)
+        lift = (LOW + (HIGH - LOW) * deep) * (0.5 + angle)
+        azimuth, back, (slow, fast) = 0.5 * math.pi, 0.0, SIDE_SPEED
+        if way == BOW:
+            azimuth, back = AHEAD[0] + (AHEAD[1] - AHEAD[0]) * across, -0.3 * radius
+            slow, fast = BOW_SPEED
+        wave = speed * (slow + (fast - slow) * quick)
+        forward = wave * math.cos(lift) * math.cos(azimuth)
+        sideways = sense * wave * math.cos(lift) * math.sin(azimuth)
+        up, under = wave * math.sin(lift), sense < 0
+        offset, high = 0.5 * sense * width, 0.1 * radius * aside
+    if under:
+        up = min(up, math.sqrt(2 * GRAVITY * CLEARANCE * radius))
     return forward, sideways, up, back, offset, high
 
 
@@ -313,9 +339,7 @@ def flown(parcels, age):
     quadratic drag made linear, so that the path has a closed form.
     """
     place, velocity = np.empty_like(parcels.start), np.empty_like(parcels.start)
-    _fly(
-        parcels.diameter, parcels.wind, parcels.start, parcels.velocity, age, place, velocity
-    )
+    _fly(parcels.diameter, parcels.wind, parcels.start, parcels.velocity, age, place, velocity)
     return place, velocity
 
 

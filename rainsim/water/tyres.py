@@ -304,9 +304,9 @@ class Tyres:
         parcels = parcels_of(table, ids)
         place, _ = flown(parcels, parcels.age)
         cell = np.floor((place[:, :2] - self._terrain.grid.origin) / self._terrain.grid.spacing)
-        return np.column_stack([
-            parcels.begin + parcels.age, cell[:, ::-1], parcels.volume, parcels.volume * own[parcels.row],
-        ])  # fmt: skip
+        volume = parcels.volume
+        lands = parcels.begin + parcels.age
+        return np.column_stack([lands, cell[:, ::-1], volume, volume * own[parcels.row]])
 
     def _land(self, solver, time):
         """Bring down the thrown water that lands up to a time [s]: parcels, each on a patch."""
