@@ -21,6 +21,7 @@ from rainsim.scene.splat_sets import own_turns
 
 LEAST_SPACING = 0.03  # m, of an actor's own cells: what is finer shows gaps between its splats
 CLOSING = 2  # cells: gaps up to twice as wide are closed
+KEPT = 8  # times whose shadow a footprint keeps
 HIGHER = np.float32(0.02)  # m over the bed that an actor must be in a cell to count there
 
 
@@ -38,20 +39,6 @@ class Shadow(NamedTuple):
     part: tuple
     top: np.ndarray
     underside: np.ndarray
-
-    def widened(self, margin, shape):
-        """Return the part with a margin of cells around it on a map of a shape, and itself in that.
-
-        Both are two slices: rows and columns of the map, and of that wider part.
-        """
-        wide = tuple(
-            slice(max(s.start - margin, 0), min(s.stop + margin, n))
-            for s, n in zip(self.part, shape, strict=True)
-        )
-        inner = tuple(
-            slice(s.start - w.start, s.stop - w.start) for s, w in zip(self.part, wide, strict=True)
-        )
-        return wide, inner
 
 
 @dataclass(frozen=True)
@@ -94,17 +81,22 @@ class Footprint:
     def ground_from_upright(self, pose):
         """Return rotation and shift [m] that take the upright frame to the ground at a pose."""
         scale = self.motion.frame.meters_per_unit
-        return pose.rotation @ np.linalg.inv(self.upright) * scale, pose.position
+        return pose.rotation @ self._from_upright * scale, pose.position
+
+    @cached_property
+    def _from_upright(self):
+        return np.linalg.inv(self.upright)
 
     def shadow(self, grid, time):
         """Return the `Shadow` on a `Grid` at a time [s]; None beside the map or while not there.
 
-        That of the last time is kept: a frame asks for it twice.
+        Those of the last times are kept: a frame asks for each twice, on two threads.
         """
         found = self._found.get((grid, time), self)
-        if found is self:  # another thread may ask for another time
+        if found is self:
             found = self._shadow(grid, time)
-            self._found.clear()
+            if len(self._found) >= KEPT:
+                self._found.clear()
             self._found[grid, time] = found
         return found
 
@@ -113,20 +105,20 @@ class Footprint:
         return {}
 
     @cached_property
-    def _middle(self):
-        return float(np.nanmean(self.top))
+    def _corners(self):
+        """The corners (4, 3) of the height fields [m], at their mean height."""
+        rows, columns = self.top.shape
+        steps = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]])
+        return np.column_stack(
+            [self.low + steps * self.spacing, np.full(4, float(np.nanmean(self.top)))]
+        )
 
     def _shadow(self, grid, time):
         pose = self.motion.at(time)
         if pose is None:
             return None
         rotation, shift = self.ground_from_upright(pose)
-        middle = self._middle
-        rows, columns = self.top.shape
-        ends = self.low + np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]]) * (
-            self.spacing
-        )
-        corners = np.column_stack([ends, np.full(4, middle)]) @ rotation.T + shift
+        corners, middle = self._corners @ rotation.T + shift, self._corners[0, 2]
         (x0, y0), (ny, nx) = grid.origin, grid.shape
         first = np.floor((corners[:, :2].min(axis=0) - (x0, y0)) / grid.spacing).astype(int)
         last = np.ceil((corners[:, :2].max(axis=0) - (x0, y0)) / grid.spacing).astype(int)

@@ -95,13 +95,11 @@ def flocks_seen(throws, ids, camera, time, exposure, flying=flying):
     recent = (column(throws, "end") > time - FLIGHT) & (column(throws, "begin") <= time)
     parcels = flying(throws[recent], ids[recent], time)
     place, velocity = flown(parcels, time - parcels.begin)
-    flies = place[:, 2] > parcels.road
-    parcels, place, velocity = parcels.take(flies), place[flies], velocity[flies]
     spread = FIRST_SPREAD + SPREAD * np.linalg.norm(place - parcels.start, axis=1)
     spread = np.minimum(spread, MOST_SPREAD)
-    near = _in_view(camera, place, 3 * spread)
+    seen = (place[:, 2] > parcels.road) & _in_view(camera, place, 3 * spread)
     parcels, place, velocity, spread = (
-        parcels.take(near), place[near], velocity[near], spread[near]
+        parcels.take(seen), place[seen], velocity[seen], spread[seen]
     )  # fmt: skip
     number = parcels.volume / (math.pi / 6 * parcels.diameter**3)
     drawn = _drawn(camera, parcels.diameter, place, velocity, exposure, number)

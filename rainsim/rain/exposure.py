@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from scipy import ndimage
 
-from rainsim.constants import HALF, ZERO
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.io import cache
-from rainsim.jit import cpu_kernel, prange
+from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.numerics.windows import widened, window_of
 from rainsim.rain.size_distribution import terminal_speed
 from rainsim.rain.wind import wind_shares
 
 LEAST_KEPT = 1 << 18  # cells of a map whose exposure is kept; a smaller one takes .1 s
 SHELTER_BLUR = 0.05  # m: gusts and drops of other sizes soften the edge of a dry patch
-BESIDE = np.float32(3)  # cells, more than a step and its rounding
 SHELTER_DIAMETERS = (1e-3, 2e-3, 3.5e-3)  # m, drops whose paths are followed
 
 
@@ -48,39 +49,45 @@ def computed_exposure(terrain, wind, roughness=0.0):
     See `rain_exposure`, which keeps it.
     """
     share = np.empty(terrain.grid.shape, np.float32)
-    speed, direction = wind
     ceiling, box = np.float32(terrain.top.max()), _box_of(terrain.top > terrain.bed)
-    falls = terminal_speed(np.array(SHELTER_DIAMETERS))
-    slopes = speed * wind_shares(falls, roughness) / falls  # m sideways per m of fall
-    ways = np.outer(-slopes, (math.cos(direction), math.sin(direction))).astype(np.float32)
     _find_open_share(
-        terrain.bed, terrain.top, terrain.underside, np.float32(terrain.grid.spacing), ways,
-        ceiling, box, share,
+        terrain.bed, terrain.top, terrain.underside, np.float32(terrain.grid.spacing),
+        _ways(*wind, roughness), ceiling, box, share,
     )  # fmt: skip
     return _blurred(share, SHELTER_BLUR / terrain.grid.spacing)
 
 
+@lru_cache(8)
+def _ways(speed, direction, roughness):
+    """Return the ways up of drops in a wind, metres sideways per metre upwards, float32 (n, 2)."""
+    falls = terminal_speed(np.array(SHELTER_DIAMETERS))
+    slopes = speed * wind_shares(falls, roughness) / falls
+    return np.outer(-slopes, (math.cos(direction), math.sin(direction))).astype(np.float32)
+
+
 def _blurred(share, deviation):
     """Blur the edges of shelters, in place; where all around is open, the share stays as it is."""
-    left, right, low, high = _box_of(share < 1)
-    if not math.isnan(left):
+    sheltered = window_of(share < 1)
+    if sheltered is not None:
         around = 2 * (math.ceil(4 * deviation) + 1)  # the filter ends at 4 deviations
-        part = tuple(slice(max(int(a) - around, 0), int(b) + around + 1)
-                     for a, b in ((low, high), (left, right)))  # fmt: skip
+        part, _ = widened(sheltered, around, share.shape)
         share[part] = ndimage.gaussian_filter(share[part], deviation)
     return share.astype(np.float32, copy=False)
 
 
 def _box_of(mask):
     """Return the first and last column and row of a mask's cells, float32 (4,); NaN of none."""
-    found = [np.flatnonzero(mask.any(axis=axis)) for axis in (0, 1)]
-    ends = [(n[0], n[-1]) if n.size else (np.nan, np.nan) for n in found]
+    window = window_of(mask)
+    ends = [(s.start, s.stop - 1) for s in reversed(window)] if window else np.full(4, np.nan)
     return np.array(ends, np.float32).ravel()
 
 
 @cpu_kernel
 def _find_open_share(bed, top, underside, spacing, ways, ceiling, box, share_out):
     """Find the share of some ways up that are free, for each ground cell.
+
+    Ways that begin in one row are at the same place of their cells after each step, so that they
+    look at one other row together.
 
     Parameters
     ----------
@@ -91,35 +98,45 @@ def _find_open_share(bed, top, underside, spacing, ways, ceiling, box, share_out
     ceiling : float32 [m]
         Height above which nothing stands.
     box : ndarray of shape (4,), float32
-        See `_box_of`: the cells with tops. A way that passes beside them is free.
+        See `_box_of`: the cells with tops. Beside them a way is free.
     share_out : ndarray of shape (ny, nx), float32
     """
     ny, nx = bed.shape
+    first, last, lowest_row, highest_row = box
     for j in prange(ny):
-        for i in range(nx):
-            free = 0
-            for n in range(ways.shape[0]):
-                dx, dy = ways[n, 0], ways[n, 1]
-                # At most a cell sideways, two cells up.
-                step = spacing / max(abs(dx), max(abs(dy), HALF))
-                z = bed[j, i]
-                x, y = np.float32(i), np.float32(j)
-                is_free = 1
-                rise = max(ceiling - z, ZERO) / spacing
-                far_x, far_y = x + dx * rise, y + dy * rise
-                through = (
-                    max(x, far_x) > box[0] - BESIDE and min(x, far_x) < box[1] + BESIDE
-                    and max(y, far_y) > box[2] - BESIDE and min(y, far_y) < box[3] + BESIDE
-                )  # fmt: skip
-                while through and z < ceiling:
-                    k, m = int(x + HALF), int(y + HALF)
-                    if k < 0 or m < 0 or k >= nx or m >= ny:
-                        break
-                    if top[m, k] > bed[m, k] and z >= underside[m, k] and z <= top[m, k]:
-                        is_free = 0
-                        break
-                    z += step
-                    x += dx * step / spacing
-                    y += dy * step / spacing
-                free += is_free
-            share_out[j, i] = np.float32(free) / np.float32(ways.shape[0])
+        lowest, free = bed[j].min(), np.empty(nx, np.float32)
+        share_out[j] = ZERO
+        for n in range(ways.shape[0]):
+            dx, dy = ways[n, 0], ways[n, 1]
+            # At most a cell sideways, two cells up.
+            step = spacing / max(abs(dx), max(abs(dy), HALF))
+            free[:] = ONE
+            for k in range(math.ceil((ceiling - lowest) / step)):
+                rise = np.float32(k) * step
+                aside = math.floor(rise * dx / spacing + HALF)
+                row = j + math.floor(rise * dy / spacing + HALF)
+                if not (row >= lowest_row and row <= highest_row):  # as all rows of no cells
+                    continue
+                left, right = max(int(first) - aside, 0), min(int(last) + 1 - aside, nx)
+                if left < right:
+                    there = row, slice(left + aside, right + aside)
+                    _stop_ways(
+                        bed[j, left:right], rise, bed[there], top[there], underside[there],
+                        free[left:right],
+                    )  # fmt: skip
+            share_out[j] += free
+        share_out[j] /= np.float32(ways.shape[0])
+
+
+@device_function
+def _stop_ways(begin, rise, bed, top, underside, free_out):
+    """Write 0 for the ways of a row of cells that lie in something that stands or hangs there.
+
+    `begin` is the height [m] at which each way begins, `rise` how much higher it is now; what they
+    look at, where they look, see `_find_open_share`.
+    """
+    for i in range(len(begin)):
+        z = begin[i] + rise
+        # Without branches, so that a processor does many cells at once.
+        stops = (top[i] > bed[i]) & (z >= underside[i]) & (z <= top[i])
+        free_out[i] = ZERO if stops else free_out[i]

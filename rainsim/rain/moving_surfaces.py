@@ -10,16 +10,17 @@ import numpy as np
 
 from rainsim.actors.footprint import put_on, shadows_on
 from rainsim.actors.motion import same_place
-from rainsim.jit import get_num_threads, set_threads
+from rainsim.jit import set_threads
+from rainsim.numerics.windows import placed, widened, window_of
 from rainsim.rain.exposure import computed_exposure
 from rainsim.rain.heightfield import Surfaces
 from rainsim.terrain.types import Grid
 
 # Finds what moves at times that are to come; some of the threads wait for what others find. Their
-# kernels take few cores each.
-AHEAD = ThreadPoolExecutor(8, initializer=lambda: set_threads(max(1, get_num_threads() // 4)))
+# kernels are short, and take one core each.
+AHEAD = ThreadPoolExecutor(8, initializer=lambda: set_threads(1))
 FRAMES_AHEAD = 4  # of which what moves is looked for: it takes longer than a GPU draws two
-MARGIN = 1.0  # m around an actor in which it thins the rain, besides what the wind adds
+MARGIN = 0.35  # m around an actor in which it thins the rain, besides what the wind adds: the blur
 SLOWEST = 4.0  # m/s: drops of 1 mm, the slowest whose paths the exposure follows
 
 
@@ -124,19 +125,23 @@ class MovingSurfaces:
         if not there:
             return self.still, []
         surfaces = self.still.changed(top, underside, [shadow.part for shadow in there])
-        return surfaces, [self._shelter(shadow) for shadow in there]
+        shelters = map(self._shelter, there)
+        return surfaces, [shelter for shelter in shelters if shelter is not None]
 
     def _shelter(self, shadow):
         """Return the part of the map that an actor shelters, and the share that it lets through.
 
+        None if it shelters nothing.
         Of the rain that things which stand let through: their shares are multiplied.
         """
         terrain, grid = self._terrain, self._terrain.grid
         high = float(np.nanmax(shadow.top)) - float(terrain.bed[shadow.part].min())
         margin = MARGIN + self._wind[0] / SLOWEST * max(high, 0.0)
         margin = math.ceil(margin / grid.spacing)
-        part, inner = shadow.widened(margin, grid.shape)
+        part, inner = widened(shadow.part, margin, grid.shape)
         bed = terrain.bed[part].copy()
         own = Heights(Grid(bed.shape, (0.0, 0.0), grid.spacing), bed, bed.copy(), bed.copy())
         put_on(own.bed, own.top, own.underside, shadow._replace(part=inner))
-        return part, computed_exposure(own, self._wind, self._roughness)
+        share = computed_exposure(own, self._wind, self._roughness)
+        here = window_of(share < 1)
+        return None if here is None else (placed(here, part), share[here])

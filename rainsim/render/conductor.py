@@ -54,14 +54,15 @@ class GroundTables(NamedTuple):
     ----------
     terrain : Terrain
     moving : MovingSurfaces
-    rings : ndarray of shape (ny, nx), float32
-        See `ring_share`; what moves shelters some of them.
+    ring_share, rings : ndarray of shape (ny, nx), float32
+        See the function and, of it, `taller_rings`; what moves shelters some of them.
     water : WaterTables
     film : WetGroundMirror
     """
 
     terrain: object
     moving: MovingSurfaces
+    ring_share: np.ndarray
     rings: np.ndarray
     water: WaterTables
     film: WetGroundMirror
@@ -123,7 +124,7 @@ class Conductor:
         self.now, self.brightness = config.at(0.0), 1.0
         self._lit_for = self._sunlight = None  # the settings that brightness and sunlight are of
         film = WetGroundMirror(terrain, config.render)
-        self.ground = GroundTables(terrain, None, None, None, film)
+        self.ground = GroundTables(terrain, None, None, None, None, film)
         self.take_settings(config)
         self.camera = self.ground_camera = self.view = None
 
@@ -196,10 +197,9 @@ class Conductor:
         surfaces, shelters = ground.moving.moment(time)
         if self._common_rings is not None:
             return surfaces, *self._common_rings
-        windows = [part for part, _ in shelters]
         if self._coming_on is ground and time in self._coming:
-            return surfaces, self._coming[time].result(), windows
-        return surfaces, self._rings(ground, shelters), windows
+            return surfaces, *self._coming[time].result()
+        return surfaces, *self._rings(ground, shelters)
 
     @contextmanager
     def bands_of(self, camera, time):
@@ -216,15 +216,15 @@ class Conductor:
             self.ground.film.share_level(None)
 
     def _rings(self, ground, shelters):
-        """Return the amplitude of rings on each cell of a part of the ground with shelters."""
-        before, rings = self._ringed
+        """Return what `sheltered_rings` does for a part of the ground with shelters."""
+        before, found = self._ringed
         if shelters is not before:
-            rings = sheltered_rings(
-                ground.rings, self.wet_scene.ground.reach, shelters, ground.terrain.grid.spacing,
-                self._ring_reach,
+            found = sheltered_rings(
+                ground.rings, ground.ring_share, self.wet_scene.ground.reach, shelters,
+                ground.terrain.grid.spacing, self._ring_reach,
             )  # fmt: skip
-            self._ringed = shelters, rings
-        return rings
+            self._ringed = shelters, found
+        return found
 
     def look_ahead(self, times, kept=()):
         """Begin to find where things are at some times [s], and their rings, on other threads.
@@ -283,14 +283,15 @@ class Conductor:
     def _tables(self, terrain, reach, film):
         config = self.config
         moving = MovingSurfaces(terrain, usual_wind(config), config.rain.roughness)
-        rings = ring_share(reach, terrain.grid.spacing, *self._ring_reach)
-        rings = taller_rings(rings, config.render.ripples, SHELTERED_SHARE)
-        return GroundTables(terrain, moving, rings, WaterTables(terrain, self._ring_reach), film)
+        share = ring_share(reach, terrain.grid.spacing, *self._ring_reach)
+        rings = taller_rings(share, config.render.ripples, SHELTERED_SHARE)
+        water = WaterTables(terrain, self._ring_reach)
+        return GroundTables(terrain, moving, share, rings, water, film)
 
     def leave_ground(self):
         """Drop all that depends on the present part of the ground; `take_ground` must follow."""
         film = self.ground.film.over(None)
-        self.ground = GroundTables(None, None, None, None, film)
+        self.ground = GroundTables(None, None, None, None, None, film)
         self.camera, self.frame = None, Frame((*PASSES, *LAYER_PASSES))
         self._set_up.put("terrain", None)
         self.wet_scene.leave_ground()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from rainsim.constants import SH_0, SH_1, SH_2, SH_3
@@ -66,9 +68,18 @@ def turned(sh, rotation):
 
 
 def mixings(rotation, degrees):
-    """Return the matrices by which a rotation mixes the functions of so many degrees, float32."""
+    """Return the matrices by which a rotation mixes the functions of so many degrees, float32.
+
+    For reading: those of the last rotations are kept, for actors that are drawn more than once.
+    """
+    return _mixings(np.asarray(rotation, np.float64).tobytes(), degrees)
+
+
+@lru_cache(64)
+def _mixings(rotation, degrees):
     directions = _even_directions()
-    after, before = basis(directions), basis(directions @ np.asarray(rotation, np.float64))
+    after = basis(directions)
+    before = basis(directions @ np.frombuffer(rotation).reshape(3, 3))
     found = [np.linalg.lstsq(after[:, band], before[:, band], rcond=None)[0]
              for band in BANDS[1:degrees]]  # fmt: skip
     return [np.eye(1, dtype=np.float32), *(each.astype(np.float32) for each in found)]

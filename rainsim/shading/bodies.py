@@ -15,6 +15,7 @@ from rainsim.actors.footprint import shadows_on
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
+from rainsim.numerics.windows import widened
 from rainsim.rain.moving_surfaces import begun
 
 LOWEST, TALLEST = 0.25, 2.8  # m over the ground, of a body's upper side
@@ -161,7 +162,7 @@ def stamped(bodies, terrain, time):
     found = bodies.copy() if bodies.size else np.zeros((*terrain.grid.shape, 3), np.uint8)
     reach = round(AROUND / terrain.grid.spacing)
     for shadow in shadows:
-        part, inner = shadow.widened(reach, terrain.grid.shape)
+        part, inner = widened(shadow.part, reach, terrain.grid.shape)
         steps = np.zeros([s.stop - s.start for s in part], np.uint8)
         height = np.nan_to_num((shadow.top - terrain.bed[shadow.part]) / STEP)
         steps[inner] = np.where(height < TALLEST / STEP, np.clip(height, 0, HEIGHTS), 0)

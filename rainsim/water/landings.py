@@ -1,4 +1,4 @@
-"""Water in the air that comes down at known times, in known cells."""
+"""Water in the air that comes down at known times, around known cells."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ END, OWN = 0, 4  # columns of a table of landings
 class Landings:
     """Water that is still to come down.
 
-    A table of it has a row for each part: end [s], row and column of its cell, volume, and the
-    account's part of that [m3]; row -1: beside the map.
+    A table of it has a row for each part: end [s], row and column of the cell in the middle, which
+    may lie beside the map, volume, and the account's part of that [m3].
     """
 
     def __init__(self):

@@ -16,6 +16,7 @@ import scipy.fft
 from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY, WATER_VISCOSITY
 from rainsim.errors import ParameterError, require_not_negative, require_positive
 from rainsim.numerics.random import mix
+from rainsim.numerics.windows import widened
 from rainsim.rain.size_distribution import drop_volume, terminal_speed
 
 FOOTPRINT = 5e-3  # m; a Gaussian push of this width has its energy peak at 200 rad/m
@@ -29,6 +30,7 @@ LAYERS = 2  # of the tile on the water, one turned against the other: each rings
 BLOCKS_AROUND = 6  # by which rings are followed across the map, see `block_reach`
 USUAL_CHORD = 0.5  # m, of a captured patio's puddles: their rings are drawn as the tile has them
 _LONGEST_STEP = 1 / 60  # s; impacts of one such step are born together, its end
+BESIDE = 1.25  # m around a shelter in which rings lack those of the drops that it keeps off
 ROWS = 64  # of a spectrum that are worked on at once
 MOST_KEPT = 1 << 19  # cells of a map whose factors of the spectrum are kept
 
@@ -328,23 +330,36 @@ def ring_share(rained, spacing, reach, weight):
     """
     if rained.min() == rained.max():
         return np.sqrt(rained, dtype=np.float32)
-    margin = max(int(2.0 / spacing), 1)  # m of it around at least: the transform is periodic
-    # Few sizes, and of small factors: in a third of the time, and their factors are known sooner.
-    around = [(margin, scipy.fft.next_fast_len(n + 2 * margin, real=True) - n - margin)
-              for n in rained.shape]  # fmt: skip
+    margin = _margin(spacing)
+    around = [(margin, _fast(n + 2 * margin) - n - margin) for n in rained.shape]
     padded = np.asarray(rained, np.float32)
     for axis, (n, (before, after)) in enumerate(zip(rained.shape, around, strict=True)):
         padded = padded.take(np.arange(-before, n + after).clip(0, n - 1), axis)
     shape, spectrum = padded.shape, scipy.fft.rfft2(padded)
     del padded  # maps of millions of cells are let go as soon as they may
+    energy = _spread(spectrum, shape, spacing, reach, weight)
+    energy = energy[tuple(slice(before, -after) for before, after in around)]
+    return np.sqrt(np.clip(energy, 0.0, 1.0)).astype(np.float32, copy=False)
+
+
+def _margin(spacing):
+    """Return how many cells around a map keep rings from its other side, for their transform."""
+    return max(int(2.0 / spacing), 1)
+
+
+def _fast(count):
+    """Return a size of small factors: there are few, and a transform takes a third of the time."""
+    return scipy.fft.next_fast_len(count, real=True)
+
+
+def _spread(spectrum, shape, spacing, reach, weight):
+    """Return the energy of rings (shape) of a share of the rain, by its spectrum, overwritten."""
     lengths, shares = (tuple(a.astype(np.float32)) for a in (reach, weight))
     found = _carried if shape[0] * shape[1] > MOST_KEPT else _kept_carried
     for first in range(0, shape[0], ROWS):
         rows = first, min(first + ROWS, shape[0])
         spectrum[slice(*rows)] *= found(shape, rows, spacing, lengths, shares)
-    energy = scipy.fft.irfft2(spectrum, s=shape, overwrite_x=True)
-    energy = energy[tuple(slice(before, -after) for before, after in around)]
-    return np.sqrt(np.clip(energy, 0.0, 1.0)).astype(np.float32, copy=False)
+    return scipy.fft.irfft2(spectrum, s=shape, overwrite_x=True)
 
 
 def _carried(shape, rows, spacing, lengths, shares):
@@ -414,13 +429,16 @@ def block_reach(side, reach, weight):
     return (spread / (spread.sum() * usual)).astype(np.float32)
 
 
-def sheltered_rings(rings, rained, shelters, spacing, reach):
+def sheltered_rings(rings, share, rained, shelters, spacing, reach):
     """Return the amplitude of rings where actors keep off a part of the rain.
+
+    Energy is a sum over the rain, so that what an actor keeps off is taken from what there was.
 
     Parameters
     ----------
-    rings, rained : ndarray of shape (ny, nx), float32
-        Without the actors, see `ring_share`.
+    rings, share, rained : ndarray of shape (ny, nx), float32
+        Without the actors: what is returned where there is none, `ring_share`, and the share of
+        the rain that it follows from.
     shelters : list of (part, share)
         Parts of the map, two slices, and the share of the rain there that an actor lets through.
     spacing : float [m]
@@ -431,17 +449,23 @@ def sheltered_rings(rings, rained, shelters, spacing, reach):
     -------
     ndarray of shape (ny, nx), float32
         `rings` itself without actors.
+    windows : list of tuple of slice
+        Rows and columns in which it differs.
     """
     if not shelters:
-        return rings
-    rings = rings.copy()
+        return rings, []
+    rings, windows, margin = rings.copy(), [], math.ceil(BESIDE / spacing)
     for part, let_through in shelters:
-        before, after = (
-            ring_share(share, spacing, *reach)
-            for share in (rained[part], rained[part] * let_through)
-        )
-        rings[part] *= np.clip(after / np.maximum(before, np.float32(1e-6)), 0, 1)
-    return rings
+        window, inner = widened(part, margin, rings.shape)
+        kept_off = np.zeros([s.stop - s.start for s in window], np.float32)
+        np.multiply(rained[part], 1 - let_through, out=kept_off[inner])
+        shape = tuple(_fast(n + 2 * margin) for n in let_through.shape)
+        lost = _spread(scipy.fft.rfft2(kept_off, s=shape), shape, spacing, *reach)
+        lost = lost[tuple(map(slice, kept_off.shape))]
+        before = np.maximum(np.square(share[window]), np.float32(1e-12))
+        rings[window] *= np.sqrt(np.clip(1 - lost / before, 0, 1))
+        windows.append(window)
+    return rings, windows
 
 
 def tile_impacts(impacts, map_area, size, time):

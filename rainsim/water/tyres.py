@@ -18,7 +18,6 @@ from rainsim.rain.throws import (
     SLOWEST,
     column,
     flown,
-    landing_age,
     mist_left,
     mist_share,
     parcels_of,
@@ -98,7 +97,7 @@ class Tyres:
         reach = step * math.ceil(PATCH / (step * spacing))
         j, i = np.mgrid[-reach : reach + 1 : step, -reach : reach + 1 : step]
         near = np.hypot(j, i) * spacing <= max(PATCH, 0.5 * spacing)
-        self._patch = np.column_stack([j[near], i[near]])
+        self._patch = np.stack([j[near], i[near]])
         self._stands = terrain.top - terrain.bed > STANDS
 
     def start(self, solver, weather, time=0.0):
@@ -303,26 +302,21 @@ class Tyres:
     def _landings_of(self, table, ids, own):
         """Return when and where the drops of a table of throws come down, see `Landings`."""
         parcels = parcels_of(table, ids)
-        age = landing_age(parcels)
-        place, _ = flown(parcels, age)
-        grid, count = self._terrain.grid, len(self._patch)
-        cell = np.floor((place[:, :2] - grid.origin) / grid.spacing).astype(np.int64)[:, ::-1]
-        cells = (cell[:, None] + self._patch).reshape(-1, 2)
-        inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
-        cells[~inside] = -1
-        each = parcels.volume / count
-        return np.column_stack([
-            np.repeat(parcels.begin + age, count), cells, np.repeat(each, count),
-            np.repeat(each * own[parcels.row], count),
-        ])  # fmt: skip
+        place, _ = flown(parcels, parcels.age)
+        cell = np.floor((place[:, :2] - self._terrain.grid.origin) / self._terrain.grid.spacing)
+        volume = parcels.volume
+        lands = parcels.begin + parcels.age
+        return np.column_stack([lands, cell[:, ::-1], volume, volume * own[parcels.row]])
 
     def _land(self, solver, time):
-        """Bring down the thrown water that lands up to a time [s]."""
-        down = self._landings.due(time)
-        cells, volume, own = down[:, 1:3].astype(np.int64), down[:, 3], down[:, 4]
-        inside = cells[:, 0] >= 0
-        self.gone += float(own[~inside].sum())
-        (row, column), volume, own = cells[inside].T, volume[inside], own[inside]
+        """Bring down the thrown water that lands up to a time [s]: parcels, each on a patch."""
+        down, (ny, nx) = self._landings.due(time), self._terrain.grid.shape
+        row, column = (down[:, 1:3].astype(np.int64)[..., None] + self._patch).swapaxes(0, 1)
+        inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
+        row, column = row[inside], column[inside]
+        each = down[:, 3:] / self._patch.shape[1]
+        volume, own = (np.broadcast_to(a[:, None], inside.shape)[inside] for a in each.T)
+        self.gone += float((each[:, 1] * (~inside).sum(axis=1)).sum())
         held = self._stands[row, column]
         self.kept += float(own[held].sum())
         self._put_down(solver, row[~held], column[~held], volume[~held], own[~held])
@@ -342,19 +336,17 @@ def _car(motion):
 
 def _swept(grid, begin, end, width):
     """Return rows and columns of the cells whose middles a tyre passes over on a straight way."""
-    half, (x0, y0), spacing = 0.5 * max(width, grid.spacing), grid.origin, grid.spacing
-    low, high = np.minimum(begin, end)[:2] - half, np.maximum(begin, end)[:2] + half
-    first = np.maximum(np.floor((low - (x0, y0)) / spacing).astype(int), 0)
-    last = np.minimum(np.ceil((high - (x0, y0)) / spacing).astype(int), grid.shape[::-1])
-    if (first >= last).any():
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    j, i = np.mgrid[first[1] : last[1], first[0] : last[0]]
-    x, y = x0 + (i + 0.5) * spacing - begin[0], y0 + (j + 0.5) * spacing - begin[1]
-    way = (end - begin)[:2]
-    length = np.hypot(*way)
+    half, spacing, first, middles = 0.5 * max(width, grid.spacing), grid.spacing, [], []
+    for a, b, least, count in zip(begin, end, grid.origin, grid.shape[::-1], strict=False):
+        low = max(math.floor((min(a, b) - half - least) / spacing), 0)
+        high = min(math.ceil((max(a, b) + half - least) / spacing), count)
+        first.append(low)
+        middles.append(least + (np.arange(low, high) + 0.5) * spacing - a)
+    (x, y), way = middles, (end - begin)[:2]
+    y, length = y[:, None], np.hypot(*way)
     along, aside = (x * way[0] + y * way[1]) / length, (y * way[0] - x * way[1]) / length
-    inside = (along >= 0) & (along < length) & (np.abs(aside) < half)
-    return j[inside], i[inside]
+    rows, columns = np.nonzero((along >= 0) & (along < length) & (np.abs(aside) < half))
+    return rows + first[1], columns + first[0]
 
 
 def _require_possible(motion):

@@ -154,6 +154,18 @@ def test_actors_are_posed_on_the_device_as_on_the_cpu(bands):
         assert_alike(found, theirs)
         assert (found.hit == theirs.hit).mean() > 0.99
         assert moving.numbers(theirs.hit).max() == (0 if time is None else 2 if time == 1 else 1)
+    moving.set_time(1.0)
+    drawer.pose_actors(moving)
+    parts = [raster.prepare(actor.splats) for actor in actors]
+    wanted = [
+        [actor.track.pose(1.0).places(np.stack(np.meshgrid(*box.reshape(2, 3).T), -1).reshape(8, 3))
+         for box in part.box]
+        for actor, part in zip(actors, parts, strict=True)
+    ]  # fmt: skip
+    corners = np.concatenate(wanted)
+    wanted = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
+    np.testing.assert_allclose(drawer.splats.box.copy_to_host()[:3], wanted, atol=1e-5)
+    assert (drawer.splats.span.copy_to_host()[:3, 0] == 0).all()
 
 
 def test_the_training_codes_stop():

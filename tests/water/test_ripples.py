@@ -24,6 +24,7 @@ from rainsim.water.ripples import (
     mean_chord,
     ring_reach,
     ring_share,
+    sheltered_rings,
     stirring,
     taller_rings,
     tile_impacts,
@@ -243,6 +244,28 @@ def test_stirred_water_keeps_the_rings_that_were_measured_under_rain(rate):
     assert math.sqrt(elevation / np.trapezoid(measured, f) * 1e4) == pytest.approx(1, rel=0.2)
     assert math.sqrt(steepness / np.trapezoid(slope, f) * 1e4) == pytest.approx(0.8, abs=0.1)
     assert stirring(0.0) == 0 and stirring(50.0) > 1
+
+
+def test_rings_beside_what_moves_are_those_of_the_rain_that_it_lets_through():
+    """Two shelters' windows against a transform of the whole map; apart, they add."""
+    spacing, reach = 0.05, ring_reach(5e-3)
+    rained = np.ones((80, 220), np.float32)
+    rained[:, :60] = 0.3
+    thinned, shelters = rained.copy(), []
+    for part in ((slice(5, 75), slice(20, 100)), (slice(4, 76), slice(140, 215))):
+        let_through = np.ones([s.stop - s.start for s in part], np.float32)
+        let_through[25:45, 30:50] = 0.0
+        thinned[part] *= let_through
+        shelters.append((part, let_through))
+    share = ring_share(rained, spacing, *reach)
+    found, windows = sheltered_rings(2 * share, share, rained, shelters, spacing, reach)
+    wanted = 2 * ring_share(thinned, spacing, *reach)
+    np.testing.assert_allclose(found, wanted, atol=4e-3)
+    assert np.abs(found - 2 * share).max() > 1
+    for window in windows:
+        found[window] = 2 * share[window]
+    np.testing.assert_array_equal(found, 2 * share)  # no other cells differ
+    assert sheltered_rings(share, share, rained, [], spacing, reach) == (share, [])
 
 
 def test_rings_travel_in_under_cover_and_fade_there():

@@ -6,6 +6,8 @@ mixed within each degree. The static set and all addresses stay as they are.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from rainsim.cuda.frame_uniforms import FrameUniforms
@@ -20,8 +22,10 @@ MOST = np.float32(6e4)  # that a half holds
 
 
 @cuda_kernel
-def pose_splats(owner, poses, mixing, geometry, sh, groups, geometry_out, sh_out):
-    """Put splats where their actors are.
+def pose_splats(
+    owner, poses, mixing, boxes, geometry, sh, groups, box_out, span_out, geometry_out, sh_out
+):
+    """Put splats where their actors are; chunks of none are not drawn.
 
     Parameters
     ----------
@@ -30,19 +34,31 @@ def pose_splats(owner, poses, mixing, geometry, sh, groups, geometry_out, sh_out
     poses : device array of shape (actors, 12), float32
     mixing : device array of shape (actors, k, k), float32
         Takes the k harmonics of a channel to those after the turn.
+    boxes : device array of shape (chunks, 6), float32
+        Middle and half sides of each chunk's box in its actor's frame.
     geometry : device array of shape (chunks, 13, 256), float32
         See `PreparedSplats`, in the actors' frames.
     sh : device array of shape (chunks, 3 k, 256), float32
     groups : int
         Of eight halves, see `project.splat_color`.
-    geometry_out, sh_out
+    box_out, span_out, geometry_out, sh_out
         Of a `DeviceSplats`, whose first chunks are written.
     """
     place = cuda.grid(1)
     chunk, lane = place // LANES, place % LANES
-    if chunk >= owner.shape[0] or owner[chunk] < 0 or geometry[chunk, OPACITY, lane] <= FAINT:
+    if chunk >= owner.shape[0]:
         return
     actor, g = owner[chunk], geometry[chunk]
+    if lane == 0:
+        span_out[chunk, 0] = np.float32(0) if actor >= 0 else np.float32(math.inf)
+    if actor >= 0 and lane < 3:  # an axis each, around the box as it has turned
+        middle, half = poses[actor, 9 + lane], np.float32(0)
+        for k in range(3):
+            middle += poses[actor, 3 * lane + k] * boxes[chunk, k]
+            half += abs(poses[actor, 3 * lane + k]) * boxes[chunk, 3 + k]
+        box_out[chunk, lane], box_out[chunk, 3 + lane] = middle - half, middle + half
+    if actor < 0 or g[OPACITY, lane] <= FAINT:
+        return
     a, b, c, x = poses[actor, 0], poses[actor, 1], poses[actor, 2], poses[actor, 9]
     d, e, f, y = poses[actor, 3], poses[actor, 4], poses[actor, 5], poses[actor, 10]
     h, i, j, z = poses[actor, 6], poses[actor, 7], poses[actor, 8], poses[actor, 11]
@@ -132,19 +148,18 @@ class PosedActors:
         self._owner = np.repeat(np.arange(len(parts), dtype=np.int32), counts)
         low, high = np.split(np.concatenate([part.box for part in parts]).astype(np.float64), 2, 1)
         with np.errstate(invalid="ignore"):  # a chunk of holes has no box, which stays so
-            self._middle, self._half = 0.5 * (low + high), 0.5 * (high - low)
+            boxes = np.hstack([0.5 * (low + high), 0.5 * (high - low)])
         self._orders = [part.order for part in parts]
         self._degrees = parts[0].degree + 1
         geometry = np.concatenate([clean(part.geometry) for part in parts])
         self._data = tuple(cuda.to_device(np.ascontiguousarray(a, np.float32)) for a in (
-            geometry.reshape(used, GEOMETRY, LANES),
+            boxes, geometry.reshape(used, GEOMETRY, LANES),
             np.concatenate([part.harmonics() for part in parts]),
         ))  # fmt: skip
         count, f4 = self._degrees**2, np.float32
         self._now = FrameUniforms(0, {
             "there": ((used,), np.int32), "poses": ((len(parts), POSE), f4),
-            "mixing": ((len(parts), count, count), f4), "box": ((room, 6), f4),
-            "span": ((room, 2), f4),
+            "mixing": ((len(parts), count, count), f4),
         })  # fmt: skip
         self._used, self._room = used, room
 
@@ -155,7 +170,6 @@ class PosedActors:
         """
         splats, used, now = self._splats, self._used, self._now
         shown = np.array([pose is not None for pose in poses] or [False] * len(self._turning))
-        there = shown[self._owner]
         rows = np.zeros((len(shown), POSE), np.float32)
         mixing = np.zeros_like(now.host["mixing"])
         for k, pose in enumerate(poses):
@@ -164,16 +178,12 @@ class PosedActors:
                 turn = pose.rotation if self._turning[k] else np.eye(3)
                 for band, each in zip(BANDS, mixings(turn, self._degrees), strict=False):
                     mixing[k, band, band] = each
-        box, span = now.host["box"], now.host["span"]
-        box[:used], span[...] = self._boxes(rows.astype(np.float64)), np.inf
-        span[:used][there, 0] = 0
-        now.update(there=np.where(there, self._owner, -1), poses=rows, mixing=mixing)
+        there = np.where(shown[self._owner], self._owner, -1)
+        now.update(there=there, poses=rows, mixing=mixing)
         now.send(stream)
-        for name, array in (("box", splats.box), ("span", splats.span)):
-            array[: self._room].copy_to_device(now[name], stream=stream)
         pose_splats[-(-used * LANES // THREADS), THREADS, stream](
             now["there"], now["poses"], now["mixing"], *self._data, splats.groups,
-            splats.geometry, splats.sh,
+            splats.box, splats.span, splats.geometry, splats.sh,
         )  # fmt: skip
         if stream == 0:
             cuda.synchronize()
@@ -184,17 +194,6 @@ class PosedActors:
         hide_low[-(-used * LANES // THREADS), THREADS, stream](
             used, ground, bed, corner, cell, least, least_outside, self._splats.geometry
         )
-
-    def _boxes(self, rows):
-        """Return boxes around those of the chunks, as the actors have turned."""
-        boxes = np.empty((self._used, 6))
-        with np.errstate(invalid="ignore"):
-            for row, first, end in zip(rows, self._first[:-1], self._first[1:], strict=True):
-                turn = row[:9].reshape(3, 3).T
-                middle = self._middle[first:end] @ turn + row[9:]
-                half = self._half[first:end] @ np.abs(turn)
-                boxes[first:end, :3], boxes[first:end, 3:] = middle - half, middle + half
-        return boxes
 
     def order(self, static, shown, first):
         """Return the numbers of all places' splats, those of the static set behind the actors'.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.cuda.driver import fetch, send, to_device
+from rainsim.cuda.driver import Staging, fetch, to_device
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.water.step_control import DRAINED, DROPPED, PARITY
 
@@ -89,6 +89,7 @@ class Cells:
 
     def __init__(self, water, room):
         self._water, self.places = water, np.zeros(0, np.int64)
+        self._staging = Staging(water.stream)
         self._make_room(room)
 
     def _make_room(self, room):
@@ -102,7 +103,7 @@ class Cells:
         if count > len(self.on_device):
             stream.synchronize()
             self._make_room(2 * count)
-        send(self.on_device[:count], places, stream)
+        self._staging.send(self.on_device[:count], places)
         self.places = places
 
     def grid(self):
@@ -120,9 +121,7 @@ class Cells:
     def write(self, values, dropped=0.0, taken=0.0):
         """Write a table that `read` returned back; see `write_cells`."""
         water, count = self._water, len(self.places)
-        table = np.zeros(self._table.shape)
-        table[:, :count] = values
-        send(self._table, table, water.stream)
+        self._staging.send(self._table, values, (slice(0, NUMBERS), slice(0, count)))
         write_cells[self.grid()](
             self.on_device, count, self._table, dropped, taken, water.account.state,
             water.account.control, *water.arrays, water.waiting,

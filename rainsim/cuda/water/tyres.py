@@ -52,6 +52,7 @@ class Road:
     def __init__(self, water):
         self._water, self._area = water, water.cells.area
         self._cells, self._table = Cells(water, ROOM), None  # no table: no cells are held
+        self._number = np.zeros(water.waiting.size, np.int32)  # of the cells that are held
         self._make_room(ROOM)
         self._staging, self.passed = Staging(water.stream), []
 
@@ -61,7 +62,12 @@ class Road:
 
     def hold(self, ways):
         """Read the cells of some ways, pairs of rows and columns; waits for them."""
-        self._cells.choose(np.unique(np.concatenate([self._water.places(*way) for way in ways])))
+        places = np.concatenate([self._water.places(*way) for way in ways])
+        numbers = np.arange(len(places), dtype=np.int32)
+        self._number[places] = numbers
+        places = places[self._number[places] == numbers]  # each once
+        self._number[places] = numbers[: len(places)]
+        self._cells.choose(places)
         self._table = self._cells.read()
         self._held = [self._table[k].astype(np.float32) for k in LIFTED]
         waiting = self._table[WAITING] * UNIT
@@ -71,7 +77,7 @@ class Road:
     def lift(self, rows, columns, left):
         """Take the water of cells that are held, see `WaterSolver.lift`."""
         self.passed.append((rows, columns))
-        at = np.searchsorted(self._cells.places, self._water.places(rows, columns))
+        at = self._number[self._water.places(rows, columns)]
         *kept, taken = lift_cells(
             *(values[at] for values in self._held), left, self._area, DRY_DEPTH
         )
