@@ -186,12 +186,14 @@ def small_surroundings(request):
 
 @pytest.fixture(scope="session", autouse=True)
 def captures_seen_once():
-    """The skyline and the surface of each capture are found once where no results are kept."""
+    """Skyline, surface and planes of each capture are found once where no results are kept."""
     from rainsim.io import cache
+    from rainsim.scene import ground_search, plane
     from rainsim.shading import environment, skyline
     from rainsim.surface import kept_surface
 
     keep, find, known = cache.kept_arrays, kept_surface.find_surface, {}
+    fit = ground_search.find_plane
 
     def constants(*modules):  # which a test may change
         return [repr(value) for m in modules for name, value in vars(m).items() if name.isupper()]
@@ -213,8 +215,12 @@ def captures_seen_once():
         place = scene.splats, scene.ground_frame, scene.cameras
         return once(cache.name_of(kept_surface.KIND, *place), lambda: find(scene))
 
+    def find_plane(*points):
+        return once(cache.name_of("scene", *points, constants(plane)), lambda: fit(*points))
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cache, "kept_arrays", kept_arrays)
+        patch.setattr(ground_search, "find_plane", find_plane)
         patch.setattr(kept_surface, "find_surface", find_surface)
         yield
 
