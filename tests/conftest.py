@@ -18,11 +18,9 @@ os.environ["NUMBA_CACHE_DIR"] = os.environ["RAINSIM_TEST_CACHE"]
 # make the arrays of all later ones fresh pages, which takes a fifth of the suite's time.
 os.environ.setdefault("GLIBC_TUNABLES", "")
 
-# The threads of numpy's linear algebra wait by spinning, and so do those of kernels at first.
-# Workers that share the cores have no time to spare for it: looking for a ground took 24 s of
-# processor time in place of 15, and no less of the clock's.
+# The threads of numpy's linear algebra wait by spinning. Workers that share the cores have none to
+# spare: looking for a ground took 24 s of processor time in place of 15, and no less of the clock's.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 # Tests change constants of modules at will, which no entry's name takes in.
 os.environ["RAINSIM_CACHE"] = "off"
