@@ -19,7 +19,7 @@ os.environ["NUMBA_CACHE_DIR"] = os.environ["RAINSIM_TEST_CACHE"]
 os.environ.setdefault("GLIBC_TUNABLES", "")
 
 # The threads of numpy's linear algebra wait by spinning. Workers that share the cores have none to
-# spare: looking for a ground took 24 s of processor time in place of 15, and no less of the clock's.
+# spare: looking for a ground took 24 s of processor time in place of 15, and as long by the clock.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Tests change constants of modules at will, which no entry's name takes in.
