@@ -46,6 +46,9 @@ def device_function(function=None, **options):
 lean_function = device_function(_nrt=False)
 # Inlined by force: loops that LLVM is to vectorise must not hold calls.
 inlined_function = device_function(forceinline=True, _nrt=False)
+# A lean function that stays a call where inlined functions call it, too: numba inlines by force all
+# that an inlined function calls, and compiles it once more for that.
+called_function = device_function(forceinline=False, _nrt=False)
 
 
 def _kernel(thorough=False, **options):
@@ -118,6 +121,7 @@ __all__ = [
     "CACHE_FOLDER",
     "KERNELS",
     "TAKERS",
+    "called_function",
     "cgutils",
     "cpu_kernel",
     "interleaved",

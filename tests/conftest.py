@@ -18,6 +18,10 @@ os.environ["NUMBA_CACHE_DIR"] = os.environ["RAINSIM_TEST_CACHE"]
 # make the arrays of all later ones fresh pages, which takes a fifth of the suite's time.
 os.environ.setdefault("GLIBC_TUNABLES", "")
 
+# The threads of numpy's linear algebra wait by spinning. Workers that share the cores have none to
+# spare: looking for a ground took 24 s of processor time in place of 15, and as long by the clock.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # Tests change constants of modules at will, which no entry's name takes in.
 os.environ["RAINSIM_CACHE"] = "off"
 
@@ -55,7 +59,9 @@ def scene_folder(tmp_path_factory):
 IN_THE_SIMULATOR = "test_the_twins_in_the_simulator[quick]"
 WARMUP = "test_warmup_leaves_nothing_behind"
 WAITS = pytest.StashKey()
-LONGEST_WAIT = 300  # s
+LONGEST_WAIT = 1200  # s, of a machine with much else to do: a kernel is compiled twice after that
+RARELY = 50_000  # new objects between searches for cycles; with Python's 700 they take 4 s of 5 s
+# in which syntax trees are made
 
 
 def turn_of(item):
@@ -64,6 +70,8 @@ def turn_of(item):
         return 0
     if item.path.parent.name in ("cli", "examples", "golden"):
         return 1
+    if item.path.parent.name == "actors":  # water in float64, as in tests/water: one compiles it
+        return 4
     return 2 if item.name == IN_THE_SIMULATOR else 3
 
 
@@ -128,6 +136,7 @@ def pytest_collection_finish(session):
     """Start the twins' simulator beside the other tests, which mostly compile in one thread."""
     gc.freeze()
     gc.enable()
+    gc.set_threshold(RARELY)
     wanted = any(item.name == IN_THE_SIMULATOR for item in session.items)
     alone = not hasattr(session.config, "workerinput")  # of `pytest -n`
     if wanted and alone and not session.config.option.collectonly:
@@ -183,12 +192,14 @@ def small_surroundings(request):
 
 @pytest.fixture(scope="session", autouse=True)
 def captures_seen_once():
-    """The skyline and the surface of each capture are found once where no results are kept."""
+    """Skyline, surface and planes of each capture are found once where no results are kept."""
     from rainsim.io import cache
+    from rainsim.scene import ground_search, plane
     from rainsim.shading import environment, skyline
     from rainsim.surface import kept_surface
 
     keep, find, known = cache.kept_arrays, kept_surface.find_surface, {}
+    fit = ground_search.find_plane
 
     def constants(*modules):  # which a test may change
         return [repr(value) for m in modules for name, value in vars(m).items() if name.isupper()]
@@ -210,8 +221,12 @@ def captures_seen_once():
         place = scene.splats, scene.ground_frame, scene.cameras
         return once(cache.name_of(kept_surface.KIND, *place), lambda: find(scene))
 
+    def find_plane(*points):
+        return once(cache.name_of("scene", *points, constants(plane)), lambda: fit(*points))
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cache, "kept_arrays", kept_arrays)
+        patch.setattr(ground_search, "find_plane", find_plane)
         patch.setattr(kept_surface, "find_surface", find_surface)
         yield
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import (
+    called_function,
     cpu_kernel,
     inlined_function,
     lean_function,
@@ -230,7 +231,7 @@ def drop_offset(word, cube, field):
     return np.float32(ux * side), np.float32(uy * side), np.float32(uz * side)
 
 
-@lean_function
+@called_function
 def draw_lines(lines, first, end, step, view, scene, picture):
     """Draw every `step`-th row of `lines`, the columns of `Line`, from `first` on, up to `end`."""
     for d in range(first, end, step):
@@ -241,7 +242,7 @@ def draw_lines(lines, first, end, step, view, scene, picture):
         draw_line(line, view, scene, picture)
 
 
-@lean_function
+@inlined_function
 def draw_line(line, view, scene, picture):
     """Draw one drop, a `Line`, into a picture of optical depths."""
     x, y, z = to_camera(view.rotation, view.eye, line.x, line.y, line.z)

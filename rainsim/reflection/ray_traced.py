@@ -164,7 +164,7 @@ class Tracer:
         )  # fmt: skip
         if not len(self.tree.record) or not n:
             return out
-        before, pixel = (np.broadcast_to(np.asarray(a, np.float32), n) for a in (before, pixel))
+        before, pixel = (np.full(n, a, np.float32) for a in (before, pixel))
         cut = np.array([0, 0, 0, -np.inf] if plane is None else plane, np.float32)
         eye = np.full(3, np.nan) if color_eye is None else np.asarray(color_eye)
         _trace(

@@ -82,9 +82,10 @@ def test_a_stopped_run_goes_on(rainsim, tmp_path, valley, monkeypatch):
     assert done.code == 0, done.err
     for name in ("gauges.csv", "depth.asc", "u.asc", "v.asc"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-    states = [np.load(tmp_path / name / "state.npz") for name in ("whole", "out")]
-    for name in states[0].files:
-        np.testing.assert_array_equal(states[1][name], states[0][name], err_msg=name)
+    states = (np.load(tmp_path / name / "state.npz") for name in ("whole", "out"))
+    with next(states) as whole, next(states) as again:
+        for name in whole.files:
+            np.testing.assert_array_equal(again[name], whole[name], err_msg=name)
     gauges = tmp_path / "out/gauges.csv"
     kept = gauges.read_text()
     gauges.write_text(kept + "7,x\n")

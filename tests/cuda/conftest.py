@@ -1,55 +1,70 @@
 """numba's CUDA simulator, quicker: its threads take turns instead of racing for the interpreter.
 
 The simulator polls the threads of a block while they run, and holds the interpreter's lock doing
-so. Here a thread runs until it waits for the others or ends, and then hands over; threads are kept
-from block to block. Modules whose functions a kernel calls see the simulated `cuda` until it ends,
-not for each call anew.
+so. Here a thread runs until it waits for the others or ends, and then hands over to the next; the
+threads of a block that wait for nobody run in one of the system's. Those are kept from block to
+block. Modules whose functions a kernel calls see the simulated `cuda` until it ends, not for each
+call anew. Arrays are numpy's own in a kernel, as the simulator's shared ones are.
 """
 
+import operator
 import os
 import threading
+from collections import deque
 
 import numpy as np
 
 if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
     from numba import cuda
     from numba.cuda.simulator import kernel as simulator
+    from numba.cuda.simulator import kernelapi
+
+    simulator.FakeWithinKernelCUDAArray = operator.attrgetter("_ary")
+
+    class Caller:
+        """Stands for `traceback`: where a shared array is made, without the lines of the source."""
+
+        def extract_stack(self, frame):
+            """Return the file and the line of the caller, last but one."""
+            caller = frame.f_back
+            return [(caller.f_code.co_filename, caller.f_lineno), None]
+
+    kernelapi.traceback = Caller()
 
     class Lane(threading.Thread):
-        """A thread of a block; between blocks it waits."""
+        """Runs threads of a block, one after the other until one waits; between blocks it waits."""
 
         def __init__(self):
             super().__init__(daemon=True)
-            self._mine, self._manager = threading.Lock(), None
-            self._mine.acquire()
+            self.turn = threading.Lock()
+            self.turn.acquire()
             self.start()
 
-        def take(self, manager, block, place, thread_id, job):
-            """Get ready for a thread's work; `go` does it."""
-            self._manager, self.blockIdx, self.threadIdx = manager, block, place
-            self.thread_id, self.job, self.error, self.ended = thread_id, job, None, False
-            self.abort = False
-
-        def go(self):
-            """Run until the thread waits for the others, or ends."""
-            self._mine.release()
-            self._manager.handed_back.acquire()
+        def take(self, manager, block, job):
+            """Get ready for the threads that no lane has begun."""
+            self._manager, self.blockIdx, self.job, self.ended = manager, block, job, False
 
         def run(self):
             while True:
-                self._mine.acquire()
-                try:
-                    self.job()
-                except Exception as error:
-                    self.error = error
+                self.turn.acquire()
+                self._work()
                 self.ended = True
-                self._manager.handed_back.release()
+                self.after.release()
+
+        def _work(self):
+            manager = self._manager
+            try:
+                while manager.waiting:
+                    self.threadIdx, self.thread_id = manager.waiting.popleft()
+                    self.job()
+            except Exception as error:
+                manager.failed = manager.failed or error
 
         def syncthreads(self):
             """Hand over until all others are here, too."""
-            self._manager.handed_back.release()
-            self._mine.acquire()
-            if self.abort:
+            self.after.release()
+            self.turn.acquire()
+            if self._manager.failed is not None:
                 raise RuntimeError("another thread of the block failed")
 
         syncthreads_count = simulator.BlockThread.syncthreads_count
@@ -62,30 +77,35 @@ if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
         """Runs a block, thread by thread."""
 
         def __init__(self, function, grid_dim, block_dim, debug):
-            self._function, self._block_dim = function, block_dim
+            self._function = function
             self.block_state = np.zeros(block_dim, dtype=np.bool_)
-            self.handed_back = threading.Lock()
-            self.handed_back.acquire()
+            self._threads = [
+                (simulator.Dim3(x, y, z), x + block_dim[0] * (y + block_dim[1] * z))
+                for x, y, z in np.ndindex(*block_dim)
+            ]
+            self.turn = threading.Lock()
+            self.turn.acquire()
 
         def run(self, grid_point, *arguments):
             """Run the block at a place of the grid."""
-            block, size = simulator.Dim3(*grid_point), self._block_dim
-            lanes = []
-            for x, y, z in np.ndindex(*size):
+            self.waiting, self.failed, lanes = deque(self._threads), None, []
+            while self.waiting and self.failed is None:
                 lane = _idle.pop() if _idle else Lane()
-                place, number = simulator.Dim3(x, y, z), x + size[0] * (y + size[1] * z)
-                lane.take(self, block, place, number, lambda: self._function(*arguments))
+                lane.take(self, simulator.Dim3(*grid_point), lambda: self._function(*arguments))
                 lanes.append(lane)
-            live, failed = lanes, None
-            while live:
-                for lane in live:
-                    lane.abort = failed is not None
-                    lane.go()
-                    failed = failed or lane.error
-                live = [lane for lane in live if not lane.ended]
+                self._go([lane])
+            while live := [lane for lane in lanes if not lane.ended]:
+                self._go(live)
             _idle.extend(lanes)
-            if failed is not None:
-                raise failed
+            if self.failed is not None:
+                raise self.failed
+
+        def _go(self, lanes):
+            """Let each lane run until its thread waits for the others, or all have ended."""
+            for lane, following in zip(lanes, [*lanes[1:], self], strict=True):
+                lane.after = following.turn
+            lanes[0].turn.release()
+            self.turn.acquire()
 
     _swapped = []  # namespaces whose `cuda` is the simulated one for now
     _names = {}  # by what each function calls `cuda`

@@ -19,7 +19,8 @@ KERNELS = {
     "cuda.jit",
 }  # fmt: skip
 FORMULAS = {
-    "device_function", "lean_function", "inlined_function", "cuda_device", "fast_device",
+    "device_function", "lean_function", "inlined_function", "called_function", "cuda_device",
+    "fast_device",
 }  # fmt: skip
 
 

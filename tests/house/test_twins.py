@@ -51,4 +51,5 @@ def is_formula(function):
     """Tell whether kernels of both backends can call a function, which writes to no array."""
     marks = {getattr(d, "id", None) for d in function.decorator_list}
     writes = any(name.endswith("_out") for name in arguments_of(function))
-    return bool(marks & {"device_function", "lean_function", "inlined_function"}) and not writes
+    formulas = {"device_function", "lean_function", "inlined_function", "called_function"}
+    return bool(marks & formulas) and not writes

@@ -118,7 +118,8 @@ def test_a_state_of_another_solver_is_refused(changes, words, tmp_path):
 
 def test_a_state_of_an_older_version_is_refused_in_one_line(tmp_path):
     made("lean").save(tmp_path / "s.npz")
-    arrays = dict(np.load(tmp_path / "s.npz"))
+    with np.load(tmp_path / "s.npz") as state:
+        arrays = dict(state)
     made("lean").load(tmp_path / "s.npz")
     del arrays["rises"]
     for found in (1, None, 3):

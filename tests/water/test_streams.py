@@ -20,7 +20,7 @@ LONG, WIDE, KERB, CAMBER = 12.8, 2.56, 0.1, 0.05  # m, m, m, slope to the kerb
 
 
 def terrain_of(bed, classes=None):
-    bed = np.asarray(bed, np.float32)
+    bed = np.ascontiguousarray(bed, np.float32)
     grid = Grid(bed.shape, (0.0, 0.0), SPACING)
     zero = np.zeros(bed.shape, np.float32)
     classes = np.full(bed.shape, HARD, np.uint8) if classes is None else classes
