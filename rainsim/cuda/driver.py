@@ -96,7 +96,7 @@ class Event:
             checked(driver.cuEventRecord(self._handle, handle_of(stream)))
 
     def record_outside(self, stream):
-        """Mark the same; in a queue that is being recorded, each of its launches marks it."""
+        """Mark it for who waits outside of a recorded queue: each launch of that marks it again."""
         if not SIMULATED:
             handle = handle_of(stream)
             is_recorded = int(checked(driver.cuStreamIsCapturing(handle))) != 0

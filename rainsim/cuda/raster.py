@@ -465,13 +465,13 @@ class Rasterizer:
         """Whether the finished picture had too little room."""
         return self.room.overflows()
 
-    def make_ahead(self, wait=cuda.synchronize):
+    def make_ahead(self):
         """Make room where little is left, and free what pictures in turn have left unused.
 
-        Before, `wait` is called: the device must use nothing of it.
+        Before, this waits for the device, which may still use it.
         """
         if self.room.count_picture() or self.room.is_tight():
-            wait()
+            cuda.synchronize()
             self._make_room()
 
     def is_amiss(self):

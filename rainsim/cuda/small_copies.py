@@ -20,9 +20,9 @@ def copy_words(words, words_out):
 
 
 def copy_small(values, values_out, stream):
-    """Queue the copy of one contiguous array to another; of either, the other may be pinned.
+    """Queue the copy between a device array and an array in pinned memory, either way.
 
-    Both have the same number of bytes, a multiple of four.
+    Both are contiguous and have the same number of bytes, a multiple of four.
     """
     if SIMULATED:
         if hasattr(values, "copy_to_host"):

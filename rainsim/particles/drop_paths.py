@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.jit import serial_kernel
+from rainsim.jit import lean_function, serial_kernel
 from rainsim.particles.line_raster import NEAR
 
 SAMPLES = 24  # places on a drop's path at which its motion and its depth are recorded
@@ -52,20 +52,15 @@ def gather_paths(lines, start, end, lens, limits, depth, sums_out):
     duration, opened, far, nearest, farthest = limits
     for n in range(len(lines)):
         x, y, z = lines[n, 0], lines[n, 1], lines[n, 2]
-        first = start[2, 0] * x + start[2, 1] * y + start[2, 2] * z + start[2, 3]
+        u, v, first = _in_camera(start, x, y, z)
         if not first > NEAR:
             continue
-        u = start[0, 0] * x + start[0, 1] * y + start[0, 2] * z + start[0, 3]
-        v = start[1, 0] * x + start[1, 1] * y + start[1, 2] * z + start[1, 3]
         u, v = lens[0] * u / first + lens[2], lens[1] * v / first + lens[3]
-        x, y, z = (
-            x + duration * lines[n, 3], y + duration * lines[n, 4], z + duration * lines[n, 5]
-        )  # fmt: skip
-        last = end[2, 0] * x + end[2, 1] * y + end[2, 2] * z + end[2, 3]
+        right, down, last = _in_camera(
+            end, x + duration * lines[n, 3], y + duration * lines[n, 4], z + duration * lines[n, 5]
+        )
         if not last > NEAR:
             continue
-        right = end[0, 0] * x + end[0, 1] * y + end[0, 2] * z + end[0, 3]
-        down = end[1, 0] * x + end[1, 1] * y + end[1, 2] * z + end[1, 3]
         right, down = lens[4] * right / last + lens[6] - u, lens[5] * down / last + lens[7] - v
         farther = last - first
         # A path that stays on one side of the picture crosses none of its pixels.
@@ -85,3 +80,13 @@ def gather_paths(lines, start, end, lens, limits, depth, sums_out):
                 sums_out[DEPTH, pixel] += cover * away
                 sums_out[RIGHT, pixel] += cover * right
                 sums_out[DOWN, pixel] += cover * down
+
+
+@lean_function
+def _in_camera(pose, x, y, z):
+    """Return a place in the frame of a camera whose pose is (3, 4)."""
+    return (
+        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3],
+        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3],
+        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3],
+    )

@@ -305,7 +305,7 @@ class Mirrors:
         return len(self._passes) < wanted or any([each.lacks for each in self._rasterizers])
 
     def grow(self):
-        """Make the room that the finished frame wanted; return whether it lacked any."""
+        """Make the room that the finished frame wanted and lacked; the device must be idle."""
         lacking = len(self._passes) < self._levels.wanted
         while len(self._passes) < self._levels.wanted:
             self._passes.append(self._new_pass())
@@ -314,15 +314,13 @@ class Mirrors:
             self._allocate(mirrored.height, mirrored.width)
             for rasterizer in self._rasterizers:
                 rasterizer.update(*self._mirrored)
-        return any([lacking, *[each.grow(SPARE) for each in self._rasterizers]])
-
-    def make_ahead(self, wait=cuda.synchronize):
-        """Make room where little is left, and free the room that pictures in turn left unused.
-
-        Before, `wait` is called: the device must use nothing of it.
-        """
         for rasterizer in self._rasterizers:
-            rasterizer.make_ahead(wait)
+            rasterizer.grow(SPARE)
+
+    def make_ahead(self):
+        """Make room where little is left, and free the room that pictures in turn left unused."""
+        for rasterizer in self._rasterizers:
+            rasterizer.make_ahead()
 
     def _new_pass(self):
         """Return one more pass: beside the others, with memory of its own, if there is plenty."""

@@ -168,9 +168,9 @@ class HostPictures:
         return self._each[self._count % 2]
 
     def copy(self, frame, composed):
-        """Queue the copy of a `DeviceFrame`'s picture, once it is `composed`, an Event; return it.
+        """Queue the copy of a `DeviceFrame`'s picture, once it is `composed`, an Event.
 
-        What the next but one is copied to is the same again.
+        Return the `HostPicture`, which the next copy but one overwrites.
         """
         composed.wait(self._stream)
         self._count += 1
@@ -258,8 +258,8 @@ class FrameQueue:
                 self._begin()
             if flying is not None:
                 self._check(flying, early)
-            if not early and flying is not None:
-                flying.picture.copied.synchronize()  # what is sent is not read meanwhile
+                if not early:
+                    flying.picture.copied.synchronize()  # what is sent is not read meanwhile
             if not early or self._recorded.is_stale:
                 self._begin()
             self._go_on()

@@ -118,8 +118,9 @@ class Passes:
         return self.mirrors.lacks or self.rain.lacks
 
     def grow(self):
-        """Make room where the finished frame's water and rain lacked it; return whether any did."""
-        return any([self.mirrors.grow(), self.rain.grow()])  # both
+        """Make room where the finished frame's water and rain lacked it."""
+        self.mirrors.grow()
+        self.rain.grow()
 
     def dependencies(self, part):
         """Return the values that the recorded queues of a part, WET or not, depend on, a tuple."""

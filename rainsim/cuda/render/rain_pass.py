@@ -178,11 +178,9 @@ class RainPass:
         return self.splashes is not None and int(self._lines[0]) > len(self.splashes.lines)
 
     def grow(self):
-        """Make room where the finished frame's splashes lacked it; return whether they did."""
-        lacking = self.lacks
-        if lacking:
+        """Make room where the finished frame's splashes lacked it."""
+        if self.lacks:
             self.splashes.make_room(2 * int(self._lines[0]))
-        return lacking
 
     def dependencies(self):
         """Return the values that a recorded queue depends on, one for each list that it draws."""

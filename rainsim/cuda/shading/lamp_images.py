@@ -292,13 +292,11 @@ class Lamps:
         return self.lacks
 
     def grow(self):
-        """Draw the finer picture from now on if the finished frame lacked it; return if it did."""
-        lacking = self.lacks
-        if lacking:
+        """Draw the finer picture from now on if the finished frame lacked it."""
+        if self.lacks:
             self.fine = FinePicture(self._splats, self._stream)
-        return lacking
 
-    def make_ahead(self, wait=cuda.synchronize):
+    def make_ahead(self):
         """Do nothing: what a frame lacks is known when it is finished."""
 
     def search(self, seen, size, horizon, camera, stream):
