@@ -18,7 +18,6 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
-from rainsim.surface.wall_normals import wall_normals
 
 KIND = "surface"
 FEWEST = 100  # splats
@@ -195,9 +194,6 @@ def splat_normals(scene, found):
         share[which[lost]] = np.clip(away[lost, 0] / LOST - 1, 0, 1)
 
     in_blocks(work, len(good), 1 << 14)
-    upright, surely = wall_normals(position[good], surface)
-    more = surely > share[good]
-    normal[good[more]], share[good[more]] = upright[more], surely[more]
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
 
 
