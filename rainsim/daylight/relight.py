@@ -42,6 +42,7 @@ from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
 from rainsim.surface.fuse import VOXEL
 from rainsim.surface.views import FEWEST_CAMERAS
+from rainsim.surface.wall_parts import laid_on_walls
 
 SIDE = 1024  # px of the maps of the sky's light
 FAR_HALF = 60.0  # m, of the far window
@@ -106,11 +107,8 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
         return Relight(None, f"relight: {what} to find a sun; {STAYS}")
     if sun is not None and sun[1] <= 0:
         return Relight(None, f"relight: the given sun is below the horizon; {STAYS}")
-    surface = surface_of(found.surface)
-    plane = with_plane(solids_of(surface), surface)
-    solids = with_splats(plane, found.solid)
     near = Window(found.middle, SIDE, np.float32(2 * found.half / SIDE))
-    turn_to_the_open(surface, solids, near)
+    surface, plane, solids = _seen(found.surface, found.solid, near)
     places = places_of(surface, near)
     if sun is None and len(places.pair) < LEAST_PAIRS:
         return Relight(None, f"relight: too few flat surfaces to find a sun; {STAYS}")
@@ -132,6 +130,11 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     if sun is None and confidence < SURE:
         shown = _unsure(confidence, len(scene.cameras))
         return Relight(None, f"relight: {shown}; {STAYS}", *facts)
+    # Of the sun only those places tell whose plane the cameras agree on; light falls on the others
+    # as on the walls that they belong to.
+    surface, plane, solids = _seen(laid_on_walls(found.surface), found.solid, near)
+    patches = patches_of(surface, near)
+    sent = sent_in(surface, patches, white)
     windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
     light = received(surface, solids, windows, direction, sent)
     unsure = GIVEN_UNSURE if direction is given else FOUND_UNSURE
@@ -144,6 +147,18 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     gain = gains(surface, light, lit, direction, measured, around_of(light.blocked, later))
     note = _note(direction, measured, confidence, given)
     return Relight(_on_splats(scene, surface, gain), note, *facts)
+
+
+def _seen(surface, solid, window):
+    """Return a `Surface` turned to the open, what of it lies in planes, and all that stops light.
+
+    `surface` is a `CaptureSurface`, `solid` that of `Found`.
+    """
+    surface = surface_of(surface)
+    plane = with_plane(solids_of(surface), surface)
+    solids = with_splats(plane, solid)
+    turn_to_the_open(surface, solids, window)
+    return surface, plane, solids
 
 
 def _on_splats(scene, surface, gain):

@@ -17,7 +17,6 @@ from scipy.spatial import cKDTree
 from rainsim.jit import cpu_kernel, get_num_threads, prange, serial_kernel
 from rainsim.numerics.blocks import in_blocks
 from rainsim.surface.views import DepthView
-from rainsim.surface.wall_parts import laid_on_walls
 from rainsim.surface.walls import to_walls
 
 VOXEL = 0.04  # m, within the radius of what the cameras look at; beyond it twice that, and so on
@@ -77,8 +76,7 @@ def fused(views, middle, radius):
     wall = upright.any(axis=1)
     side = np.where(np.einsum("ij,ij->i", upright[wall], towards[wall]) < 0, -1, 1)
     normal[wall], flat[wall], smooth[wall] = upright[wall] * side[:, None], 1, position[wall]
-    surface = CaptureSurface(smooth, normal, flat, light, size, found[solid, 0])
-    return laid_on_walls(thinned(surface))
+    return thinned(CaptureSurface(smooth, normal, flat, light, size, found[solid, 0]))
 
 
 def evened(position, plain, towards, size, weight, views):

@@ -18,6 +18,7 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
+from rainsim.surface.wall_parts import laid_on_walls
 
 KIND = "surface"
 FEWEST = 100  # splats
@@ -164,7 +165,7 @@ def splat_normals(scene, found):
     In the capture frame, float32. What a picture shows of a wall then faces one way, however its
     splats lie.
     """
-    surface, frame = found.surface, scene.ground_frame
+    surface, frame = laid_on_walls(found.surface), scene.ground_frame
     normal, share = np.zeros((len(scene.splats), 3), np.float32), np.zeros(len(scene.splats), "f4")
     count = min(FACING, len(surface.position))
     if not count:

@@ -3,8 +3,8 @@
 Panes mirror, edges and sills are no plain surface: the places that cameras see there agree on no
 plane, and would be lit and get wet as leaves do, beside a wall in the shade that stays dry. What
 lies in the plane of a wall or a little behind it, at places that show it, belongs to the wall; so
-does what lies in a hole of it, or farther behind that: a pane, and what it mirrors. Level places
-stay, the ground at its foot, a coping or a ledge, and so do leaves.
+does what lies in a hole of it, or farther behind that: a pane, and what it mirrors. What has a
+plane of its own stays, the ground at its foot, a coping or a ledge, and so do leaves.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ CLOSED = 2  # cells: narrower gaps between places of a wall are no holes
 BEFORE = 0.2  # m before its plane; behind it THICK
 BESIDE = 0.15  # m from the wall's places
 BEHIND = 1.0  # m behind its plane, within a hole
-LEVEL = 0.7  # of a normal's part upwards: the ground at a wall's foot, a coping, a ledge
+LOOSE = np.float32(0.5)  # how flat it is at most: what has a plane of its own keeps it
 MOST_CELLS = 1 << 22  # of a wall
 DARKER = 0.4  # of a wall's light: a pane, whose light is mirrored
 GREEN = 0.1  # of the largest channel, that green is over the mean of the others: leaves
@@ -40,8 +40,7 @@ def laid_on_walls(surface):
     offset = np.einsum("ij,ij->i", surface.position[shown], normal[shown])
     planes = np.column_stack([normal[shown], offset.round(2)])
     planes, wall = np.unique(planes, axis=0, return_inverse=True)
-    level = (flat > 0.5) & (normal[:, 2] > LEVEL)
-    rest = np.flatnonzero(~shown & ~leaf & ~level)
+    rest = np.flatnonzero((flat <= LOOSE) & ~leaf)
     for k, outwards in enumerate(planes[:, :3]):
         mine = wall.ravel() == k
         places = surface.position[shown][mine]
