@@ -132,9 +132,10 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
         return Relight(None, f"relight: {shown}; {STAYS}", *facts)
     # Of the sun only those places tell whose plane the cameras agree on; light falls on the others
     # as on the walls that they belong to.
-    surface, plane, solids = _seen(laid_on_walls(found.surface), found.solid, near)
-    patches = patches_of(surface, near)
-    sent = sent_in(surface, patches, white)
+    if (laid := laid_on_walls(found.surface)) is not found.surface:
+        surface, plane, solids = _seen(laid, found.solid, near)
+        patches = patches_of(surface, near)
+        sent = sent_in(surface, patches, white)
     windows = near, Window(near.middle, SIDE, np.float32(2 * FAR_HALF / SIDE))
     light = received(surface, solids, windows, direction, sent)
     unsure = GIVEN_UNSURE if direction is given else FOUND_UNSURE

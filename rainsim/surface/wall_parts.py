@@ -29,14 +29,17 @@ GREEN = 0.1  # of the largest channel, that green is over the mean of the others
 def laid_on_walls(surface):
     """Return a `CaptureSurface` of which what belongs to walls lies in their planes.
 
+    Without a wall it is the one that was given.
     The places on walls are those that are wholly flat, with a normal that has no part upwards. What
     is much darker than its wall, as panes are, counts as half flat: its light is not the wall's.
     """
+    shown = (surface.flat == 1) & (surface.normal[:, 2] == 0)
+    if not shown.any():
+        return surface
     position, normal, flat = (values.copy() for values in surface[:3])
     red, green, blue = surface.light.T
     leaf = 2 * green - red - blue > GREEN * 2 * surface.light.max(axis=1, initial=0)
     bright = surface.light @ LUMINANCE_WEIGHTS.astype(np.float32)
-    shown = (flat == 1) & (normal[:, 2] == 0)
     offset = np.einsum("ij,ij->i", surface.position[shown], normal[shown])
     planes = np.column_stack([normal[shown], offset.round(2)])
     planes, wall = np.unique(planes, axis=0, return_inverse=True)
