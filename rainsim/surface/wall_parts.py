@@ -29,9 +29,9 @@ GREEN = 0.1  # of the largest channel, that green is over the mean of the others
 def laid_on_walls(surface):
     """Return a `CaptureSurface` of which what belongs to walls lies in their planes.
 
-    Without a wall it is the one that was given.
-    The places on walls are those that are wholly flat, with a normal that has no part upwards. What
-    is much darker than its wall, as panes are, counts as half flat: its light is not the wall's.
+    Without a wall it is the one that was given. The places on walls are those that are wholly flat,
+    with a normal that has no part upwards. What is much darker than its wall, as panes are, counts
+    as half flat: its light is not the wall's.
     """
     shown = (surface.flat == 1) & (surface.normal[:, 2] == 0)
     if not shown.any():
@@ -43,9 +43,10 @@ def laid_on_walls(surface):
     offset = np.einsum("ij,ij->i", surface.position[shown], normal[shown])
     planes = np.column_stack([normal[shown], offset.round(2)])
     planes, wall = np.unique(planes, axis=0, return_inverse=True)
+    wall = wall.ravel()
     rest = np.flatnonzero((flat <= LOOSE) & ~leaf)
     for k, outwards in enumerate(planes[:, :3]):
-        mine = wall.ravel() == k
+        mine = wall == k
         places = surface.position[shown][mine]
         away = surface.position[rest] @ outwards - np.median(offset[mine])
         near = (away > -BEHIND) & (away < BEFORE)
@@ -77,6 +78,5 @@ def _belongs(asked, places, away):
     whole = ndimage.binary_fill_holes(shown)
     hole = whole & ~shown
     beside = CELL * ndimage.distance_transform_edt(~whole) < BESIDE
-    at = np.clip((asked - first + CLOSED).astype(int), 0, np.array(shown.shape) - 1)
-    at = tuple(at.T)
+    at = tuple(np.clip((asked - first + CLOSED).astype(int), 0, np.array(shown.shape) - 1).T)
     return hole[at] | (beside[at] & (away > -THICK))
