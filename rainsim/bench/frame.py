@@ -211,6 +211,6 @@ def draw(result, path):
             bar.pop("frame")
             stages.setdefault(row["scene"], {})[f"{row['width']} px, {row['level']}"] = bar
     for scene, bars in stages.items():
-        panels[f"{scene}: stages, one after the other"] = {"bars": bars}
+        panels[f"{scene}: stages in turn"] = {"bars": bars}
     title = "A rainy frame: error against the frame at twice the size, and time"
     draw_fronts(path, panels, title, default="as set", error="rms error (white is 1)")
