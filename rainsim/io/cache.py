@@ -52,7 +52,11 @@ STAGES = (
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba", "llvmlite")
 # Variables that choose machine code, and with it the last digits of results.
 CODE_VARIABLES = ("NUMBA_", "NPY_", "OPENBLAS_")
-NOT_OF_THE_CODE = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+# Kept results are the CPU's: variables of the GPU's code, which `rainsim.cuda.jit` sets, do not
+# count.
+NOT_OF_THE_CODE = (
+    "NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_CUDA_",
+)  # fmt: skip
 PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -112,7 +116,7 @@ def _variables():
     return {
         name: value
         for name, value in os.environ.items()
-        if name.startswith(CODE_VARIABLES) and name not in NOT_OF_THE_CODE
+        if name.startswith(CODE_VARIABLES) and not name.startswith(NOT_OF_THE_CODE)
     }
 
 

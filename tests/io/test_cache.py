@@ -232,6 +232,10 @@ def test_the_code_the_machine_and_its_variables_count(monkeypatch, tmp_path):
     with monkeypatch.context() as patch:
         patch.setenv("NUMBA_CPU_NAME", "generic")
         assert cache.name_of("terrain", 1) != name
+    for variable in ("NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS", "NUMBA_NUM_THREADS"):
+        with monkeypatch.context() as patch:
+            patch.setenv(variable, "3")
+            assert cache.name_of("terrain", 1) == name
     with monkeypatch.context() as patch:
         patch.setattr(cache, "_machine", lambda: ["another"])
         assert cache.name_of("terrain", 1) != name
