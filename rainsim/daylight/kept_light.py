@@ -39,11 +39,17 @@ def kept_relight(scene, config, found, white):
         facts, arrays = entry
         direction = None if facts["sun"] is None else np.array(facts["sun"])
         return Relight(
-            arrays.get("gain"), facts["note"], direction, facts["ratio"], facts["confidence"]
+            arrays.get("gain"),
+            facts["note"],
+            direction,
+            facts["ratio"],
+            facts["confidence"],
+            facts["ground_only"],
         )
     relight = find_relight(scene, found, sun, white)
     facts = {
         "note": relight.note, "confidence": relight.confidence, "ratio": relight.ratio,
+        "ground_only": relight.ground_only,
         "sun": None if relight.sun is None else [float(x) for x in relight.sun],
     }  # fmt: skip
     cache.write(KIND, name, facts, {} if relight.gain is None else {"gain": relight.gain})

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rainsim.constants import SH_0
+from rainsim.daylight.ground_shade import ground_shade, lift
 from rainsim.daylight.light import (
     about_normal,
     around_of,
@@ -92,6 +93,7 @@ class Relight:
     sun: np.ndarray | None = None  # (3,), unit, ground frame, to the sun that was found or given
     ratio: tuple | None = None  # see `SunRatio`
     confidence: float = 0.0
+    ground_only: bool = False  # only shade on the ground is lifted: walls keep theirs
 
 
 def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
@@ -100,24 +102,53 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     `found` is what its cameras show, None if there are too few splats. `sun`, azimuth and elevation
     [rad], is taken as it is, unless the shadows surely show where within 5 degrees of it the sun
     stood; without it the sun is found. `white` is the albedo that a captured linear colour of 1
-    stands for, on open level ground.
+    stands for, on open level ground. Where what was captured explains no shadows, they are looked
+    for in the picture of the ground.
     """
-    if found is None or len(found.surface.position) < FEWEST:
-        what = "too few splats" if found is None else "too little that its cameras agree on"
-        return Relight(None, f"relight: {what} to find a sun; {STAYS}")
+    if found is None:
+        return Relight(None, f"relight: too few splats to find a sun; {STAYS}")
     if sun is not None and sun[1] <= 0:
         return Relight(None, f"relight: the given sun is below the horizon; {STAYS}")
+    relight = _by_casters(scene, found, sun, white)
+    if relight.gain is not None or found.ground is None:
+        return relight
+    shade = ground_shade(found.ground, SURE)
+    return relight if shade is None else _by_ground(scene, found.ground, shade)
+
+
+def _by_ground(scene, picture, shade):
+    """Return the `Relight` that lifts the shade found in a picture of the ground."""
+    position, good = _placed(scene)
+    gain = np.ones((len(good), 3), np.float16)
+    log = np.log(np.maximum(_light_of(scene.splats, good), DIM))
+    gain[good] = np.exp(lift(picture, shade, position[good], log))
+    note = (
+        f"relight: shade on {shade.area:.0%} of the ground in sight, where the sun gave "
+        f"{luminance(shade.ratio[None])[0]:.1f} times the sky's light, goes as clouds cover the "
+        "sky; what threw it was not captured, so that light and shade of all else stay"
+    )
+    facts = tuple(map(float, shade.ratio)), shade.confidence
+    return Relight(gain, note, None, *facts, ground_only=True)
+
+
+def _by_casters(scene, found, sun, white):
+    """Return the `Relight` by shadows that what was captured throws; see `find_relight`."""
+    if len(found.surface.position) < FEWEST:
+        return Relight(None, f"relight: too little that its cameras agree on; {STAYS}")
     near = Window(found.middle, SIDE, np.float32(2 * found.half / SIDE))
     surface, plane, solids = _seen(found.surface, found.solid, near)
     places = places_of(surface, near)
     if sun is None and len(places.pair) < LEAST_PAIRS:
         return Relight(None, f"relight: too few flat surfaces to find a sun; {STAYS}")
-    patches = patches_of(surface, near)
-    sent = sent_in(surface, patches, white)
     given = None if sun is None else _unit(*sun)
     direction, score = given, 0.0
     if len(places.pair) >= LEAST_PAIRS:
         direction, score = find_sun(places, solids, plane, near, given)
+    if given is None and score <= LEAST_SCORE:
+        shown = _unsure(0.0, len(scene.cameras))
+        return Relight(None, f"relight: {shown}; {STAYS}", direction, (0.0, 0.0, 0.0))
+    patches = patches_of(surface, near)
+    sent = sent_in(surface, patches, white)
     measured, confidence = _measured(places, solids, plane, near, direction, score, sent)
     if given is None:
         confidence *= _raised(measured.ratio[0] / max(measured.ratio[2], 1e-6), RED_OVER_BLUE)
@@ -164,16 +195,27 @@ def _seen(surface, solid, window):
 
 def _on_splats(scene, surface, gain):
     """Return the gain (n, 3), float16, of a scene's splats of that of its surface."""
+    position, good = _placed(scene)
+    light = _light_of(scene.splats, good)
+    found, near = carried(surface, VOXEL, gain.astype(np.float32), position[good], light)
+    result = np.ones((len(good), 3), np.float16)
+    result[np.flatnonzero(good)[near]] = found[near]
+    return result
+
+
+def _placed(scene):
+    """Return the places of a scene's splats (n, 3), float32 [m], and which splats are good (n,)."""
     with np.errstate(all="ignore"):
         position = scene.ground_frame.to_ground(scene.splats.position).astype(np.float32)
         good = scene.splats.opacity > 0
         for values in (position, scene.splats.sh[:, 0]):
             good &= np.isfinite(values).all(axis=1)
-    light = linear(scene.splats.sh[good, 0] * np.float32(SH_0) + np.float32(0.5))
-    found, near = carried(surface, VOXEL, gain.astype(np.float32), position[good], light)
-    result = np.ones((len(good), 3), np.float16)
-    result[np.flatnonzero(good)[near]] = found[near]
-    return result
+    return position, good
+
+
+def _light_of(splats, good):
+    """Return the linear light (m, 3) of the splats that are good, (n,) bool."""
+    return linear(splats.sh[good, 0] * np.float32(SH_0) + np.float32(0.5))
 
 
 def _unit(azimuth, elevation):

@@ -17,10 +17,12 @@ from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 from rainsim.raster import Rasterizer, prepare
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
+from rainsim.surface.ground_picture import GroundPicture, ground_picture
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
 from rainsim.surface.wall_parts import laid_on_walls
 
 KIND = "surface"
+GROUND = "ground_log", "ground_seen", "ground_low"  # arrays of the picture of the ground
 FEWEST = 100  # splats
 # Shares of the light that a splat gives to pictures, that goes to the sky: of one that is sky, and
 # of one that is sky if it is as bright or alone and about as blue.
@@ -48,6 +50,7 @@ class Found(NamedTuple):
     solid: np.ndarray  # (m, 10), float32
     open: np.ndarray  # (rows, columns), bool, see `captured_sky.seen_sky`
     half: float  # m, from the middle, how far they look
+    ground: GroundPicture | None = None  # None: they show too little of it
 
 
 _last = [None, None]  # name of the result that was asked for last, and the result
@@ -68,11 +71,18 @@ def kept_surface(scene):
             arrays = {"sky": found.sky, "middle": found.middle, "open": found.open,
                       "solid": found.solid}  # fmt: skip
             arrays |= found.surface._asdict()
-            cache.write(KIND, name, {"half": found.half}, arrays)
+            facts = {"half": found.half}
+            if found.ground is not None:
+                facts["ground"] = found.ground.cell, found.ground.reach
+                arrays |= dict(zip(GROUND, found.ground, strict=False))
+            cache.write(KIND, name, facts, arrays)
         else:
             facts, arrays = entry
             own = [arrays.pop(name) for name in ("sky", "middle", "solid", "open")]
-            found = Found(CaptureSurface(**arrays), *own, facts["half"])
+            ground = None
+            if "ground" in facts:
+                ground = GroundPicture(*(arrays.pop(name) for name in GROUND), *facts["ground"])
+            found = Found(CaptureSurface(**arrays), *own, facts["half"], ground)
         _last[:] = name, found
     return _last[1]
 
@@ -100,7 +110,8 @@ def find_surface(scene):
         alone = _alone(near, surface)
         sky = good & _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
     solid = _solid(position, near, splats, good & ~sky, views, frame, surface)
-    return Found(surface, sky, middle, solid, seen_sky(views, shown), half)
+    ground = ground_picture(views)
+    return Found(surface, sky, middle, solid, seen_sky(views, shown), half, ground)
 
 
 def _solid(position, near, splats, good, views, frame, surface):

@@ -1,0 +1,290 @@
+"""Shade on the ground, found in the picture of the ground, whatever threw it.
+
+In the shade the sky alone lights the ground: it is darker, and bluer, by one ratio of sun and sky
+to sky for each channel, whatever the paint. Edges between paints have all ratios, those of shadows
+one. So shade is believed if one such ratio recurs along edges on different paints, and a region if
+it is found along most of its border. What paint may have done stays as it is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage, sparse
+from scipy.sparse.linalg import splu
+
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
+
+EDGE = 3  # cells from the middle of an edge to the places on both sides
+SMOOTH = 1.2  # cells: deviation of the weights of a place's colour
+LEAST_STEP = 0.3  # of the logarithm of luminance at an edge
+EVEN = 0.35  # of the step, by which luminance may go on changing beyond the edge
+# Steps that sun and blue sky make: logarithms of luminance and of red over blue, and green off the
+# middle of both, over the latter, of which LEAST_BLUER counts at least.
+STEP, BLUER, GREEN, LEAST_BLUER = (0.35, 2.5), (0.12, 1.4), 0.25, 0.3
+ALIKE = 0.2  # logarithm by which steps of one ratio differ, to find it
+# Steps of that ratio: shares of it, since half shade steps less, and logarithm off its direction.
+SHARES, OFF = (0.5, 1.6), 0.3
+# Values that raise the confidence from 0 to 1: edges of one ratio; their share of those that sun
+# and sky may have made; how many more of these there are than of those that are as much redder in
+# the dark, of all of both; red over blue of the sun over the sky; logarithm by which the tints of
+# the paints beside the edges differ.
+EDGES, BLUE = (60, 150), (0.7, 0.85)
+RED_OVER_BLUE, PAINTS = (1.4, 1.7), (0.2, 0.35)
+LEAK = 0.06  # of a shadow's step, from cell to cell, that hardly lets a state pass
+LEAST_PASS, UNSEEDED = 1e-4, 1e-5  # of a link; weight of being lit where nothing is known
+BORDER, FEWEST = 0.6, 12  # share of a region's border that is the edge of a shadow; cells of it
+NEAR_EDGES, PRIOR = 12.0, 3.0  # cells over which the ratio is averaged; edges that the mean counts
+BAND = 3  # cells about the edge of a shadow in which the share is that of the brightness
+FLECK, PAINT = 5.0, 0.25  # cells about one in the shade, and share that paint may make of a fleck
+PAINT_OFF = 0.4  # logarithm off the step's direction, that paint may make of a splat
+LOWEST = 4.0  # of what may be off the ground's level: splats as far below it are still its own
+SHARE_OF_WIDTH = 1.0, 1e-3  # of a mean, see `_smoothed`
+MARGIN = 2 * EDGE + 2  # cells around the picture, so that no neighbour is beyond it
+
+
+class GroundShade(NamedTuple):
+    """The shade of a ground picture."""
+
+    share: np.ndarray  # (rows, columns), of the sun that something hides
+    lit: np.ndarray  # (rows, columns, 3), logarithm of light without shade, around a cell
+    band: np.ndarray  # (rows, columns) bool, about the edges of shadows
+    step: np.ndarray  # (rows, columns, 3), logarithm of lit over shaded light
+    ratio: np.ndarray  # (3,) of the sun on level ground over the sky
+    confidence: float  # 0 to 1
+    area: float  # share of the ground seen that is in the shade
+
+
+def ground_shade(picture, sure):
+    """Return the `GroundShade` of a `GroundPicture`; None below a confidence, or without shade."""
+    margin = [(MARGIN, MARGIN)] * 2
+    log, seen = np.pad(picture.log, [*margin, (0, 0)]), np.pad(picture.seen, margin)
+    smooth = _smoothed(log, seen, SMOOTH)
+    bright, dark = _edges(smooth, seen)
+    step = smooth[bright] - smooth[dark]
+    ratio, confidence = _ratio_of(step, smooth[bright])
+    if confidence < sure:
+        return None
+    used = _of_ratio(step, ratio)
+    bright, dark = (tuple(axis[used] for axis in side) for side in (bright, dark))
+    shade = _spread(smooth, seen, ratio, bright, dark) > 0.5
+    shade, border = _confirmed(smooth, seen, shade, ratio)
+    if not shade.any():
+        return None
+    step = _local_steps(border, shade, ratio)
+    inner = (slice(MARGIN, -MARGIN),) * 2
+    maps = (values[inner] for values in (*_shares(log, seen, shade, step), step))
+    area = np.count_nonzero(shade) / np.count_nonzero(seen)
+    return GroundShade(*maps, np.expm1(ratio), confidence, area)
+
+
+def lift(picture, shade, position, log):
+    """Return the logarithms of gain (n, 3) that take splats out of the shade on the ground.
+
+    `position` (n, 3) [m] and `log`, the logarithm of their light, are those of the splats. What
+    stands on the ground, higher than what its picture shows as ground, keeps its light. At the edge
+    of a shadow a splat's own light tells how much of it is shaded, if sun and shade may make it.
+    """
+    place = ((position[:, :2] - picture.low) / picture.cell - 0.5).T[::-1]
+
+    def at(values):
+        return ndimage.map_coordinates(values, place, np.float32, order=1)
+
+    maps = shade.step, shade.lit
+    step, lit = (np.stack([at(c) for c in np.moveaxis(v, 2, 0)], -1) for v in maps)
+    own, off = _hidden(log, lit, step)
+    by_own = at(shade.band.astype(np.float32)) * (off < PAINT_OFF)
+    share = at(shade.share)
+    share += by_own * (np.clip(own, 0, 1) - share)
+    height = position[:, 2] / picture.reach
+    share *= np.clip(2 - height, 0, 1) * (height > -LOWEST)
+    return step - np.log1p((1 - share[:, None]) * np.expm1(step))
+
+
+def _hidden(log, lit, step):
+    """Return the hidden share of the sun that makes `log` of `lit`, and how far off it that is.
+
+    All are logarithms (..., 3) of light, `step` is that of lit over shaded light; the shares are
+    not bounded. The second is a logarithm: what sun and shade cannot do is paint.
+    """
+    sun = np.maximum(np.expm1(step), 1e-3)
+    bright = np.exp((log - lit) @ LUMINANCE_WEIGHTS)
+    over_sky = np.maximum(np.expm1(step @ LUMINANCE_WEIGHTS), 1e-3)
+    shown = (bright * (1 + over_sky) - 1) / over_sky
+    by_sun = np.log1p(np.clip(shown, 0, 1)[..., None] * sun) - step
+    off = log - lit - by_sun
+    off -= (off @ LUMINANCE_WEIGHTS)[..., None]
+    return 1 - shown, np.linalg.norm(off, axis=-1)
+
+
+def _smoothed(values, known, *widths):
+    """Return the mean of values (rows, columns, 3) about each cell, of known cells alone.
+
+    Of the widths of the weights later ones count where none is known within the first.
+    """
+    sums = np.where(known[..., None], values, 0), known[..., None]
+    total = 0
+    for share, width in zip(SHARE_OF_WIDTH, widths, strict=False):
+        total += share * np.concatenate(
+            [ndimage.gaussian_filter(v.astype(np.float32), (width, width, 0)) for v in sums], -1
+        )
+    return total[..., :3] / np.maximum(total[..., 3:], 1e-9)
+
+
+def _edges(smooth, seen):
+    """Return the places of the brighter and of the darker side of edges, as rows and columns."""
+    light, sides = smooth @ LUMINANCE_WEIGHTS, ([], [])
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        k = EDGE if down * right == 0 else round(EDGE / 2**0.5)
+
+        def at(values, cells, turn=(-down, -right)):
+            return np.roll(values, (cells * turn[0], cells * turn[1]), (0, 1))
+
+        change = at(light, k) - at(light, -k)
+        size = np.abs(change)
+        edge = seen & (size > LEAST_STEP)
+        edge &= size >= np.max([at(size, n) for n in range(-k, k + 1)], axis=0)
+        for side in (k, -k):
+            edge &= at(seen, side) & at(seen, 2 * side)
+            edge &= np.abs(at(light, 2 * side) - at(light, side)) < EVEN * size
+        row, column = np.nonzero(edge)
+        away = np.where(change[edge] > 0, k, -k)
+        for side, one in zip(sides, (away, -away), strict=True):
+            side.append((row + one * down, column + one * right))
+    return [tuple(np.concatenate(axis) for axis in zip(*side, strict=True)) for side in sides]
+
+
+def _by_sun(step):
+    """Return which steps (n, 3) sun and blue sky may have made."""
+    light, bluer = step @ LUMINANCE_WEIGHTS, step[:, 0] - step[:, 2]
+    green = np.abs(step[:, 1] - (step[:, 0] + step[:, 2]) / 2)
+    found = (light > STEP[0]) & (light < STEP[1]) & (bluer > BLUER[0]) & (bluer < BLUER[1])
+    return found & (green < GREEN * np.maximum(bluer, LEAST_BLUER))
+
+
+def _ratio_of(step, lit):
+    """Return the logarithm of the ratio (3,) that recurs among steps, and how sure shade is.
+
+    `lit` is the logarithm of colour on the bright sides, (n, 3).
+    """
+    likely = _by_sun(step)
+    if np.count_nonzero(likely) < EDGES[0]:
+        return np.zeros(3), 0.0
+    step, lit, other = step[likely], lit[likely], np.count_nonzero(_by_sun(step[:, ::-1]))
+    some = step[:: max(1, len(step) // 300)]
+    size = step @ LUMINANCE_WEIGHTS  # half shade has smaller steps: large ones count more
+    most = np.argmax([size[np.abs(step - one).max(axis=1) < ALIKE].sum() for one in some])
+    ratio = some[most]
+    for _ in range(8):
+        alike = np.abs(step - ratio).max(axis=1) < ALIKE
+        ratio = np.median(step[alike], axis=0)
+    tint = lit[alike, :2] - lit[alike, 1:]
+    paints = np.ptp(np.percentile(tint, [10, 90], axis=0), axis=0).max()
+    sun = np.expm1(ratio)
+    values = (
+        (np.count_nonzero(alike), EDGES),
+        (len(step) / (len(step) + other), BLUE), (sun[0] / max(sun[2], 1e-6), RED_OVER_BLUE),
+        (paints, PAINTS),
+    )  # fmt: skip
+    return ratio, float(np.prod([np.clip((v - a) / (b - a), 0, 1) for v, (a, b) in values]))
+
+
+def _of_ratio(step, ratio):
+    """Return which steps (n, 3) are in the direction of a ratio (3,), and about as large."""
+    along = step @ ratio / (ratio @ ratio)
+    off = np.linalg.norm(step - along[:, None] * ratio, axis=1)
+    return (along > SHARES[0]) & (along < SHARES[1]) & (off < OFF)
+
+
+def _spread(smooth, seen, ratio, lit, shaded):
+    """Return how likely each cell is in the shade, 0 to 1, from the sides of edges.
+
+    A random walker, Grady 2006: the state passes from cell to cell but where the colour changes as
+    it does at the edge of a shadow, so that it passes from paint to paint.
+    """
+    count = np.count_nonzero(seen)
+    number = np.full(seen.shape, -1)
+    number[seen] = np.arange(count)
+    size, links = float(ratio @ ratio), []
+    for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        both = seen[a] & seen[b]
+        step = (smooth[a] - smooth[b])[both]
+        along = step @ ratio / size
+        off = np.linalg.norm(step - along[:, None] * ratio, axis=1) / size**0.5
+        passed = np.exp(-((np.maximum(np.abs(along) - off, 0) / LEAK) ** 2)) + LEAST_PASS
+        links.append((number[a][both], number[b][both], passed))
+    first, second, passed = (np.concatenate(part) for part in zip(*links, strict=True))
+    dark = np.bincount(number[shaded], minlength=count).astype(float)
+    total = dark + np.bincount(number[lit], minlength=count) + UNSEEDED
+    total += np.bincount(first, passed, count) + np.bincount(second, passed, count)
+    own = np.arange(count)
+    place = np.concatenate([own, first, second]), np.concatenate([own, second, first])
+    matrix = sparse.csc_array((np.concatenate([total, -passed, -passed]), place))
+    symmetric = {"SymmetricMode": True}
+    solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+    found = np.zeros(seen.shape)
+    found[seen] = solver.solve(dark)
+    return found
+
+
+def _confirmed(smooth, seen, shade, ratio):
+    """Return the regions of shade along whose border the ratio is found, and these borders.
+
+    A border is places of cells at it in the shade (n, 2), and the steps across it (n, 3).
+    """
+    slope = np.stack(np.gradient(ndimage.gaussian_filter(shade.astype(np.float32), 1.5)), -1)
+    edge = shade & ~ndimage.binary_erosion(shade, np.ones((3, 3)))
+    place = np.argwhere(edge)
+    out = -slope[edge] / np.maximum(np.linalg.norm(slope[edge], axis=1), 1e-6)[:, None]
+    step = np.zeros((len(place), 3))
+    known, good = np.zeros((2, len(place)), bool)
+    for away in (EDGE, 2 * EDGE):  # the edge of a blurred shadow is wide: the larger step counts
+        lit = tuple(np.rint(place + away * out).astype(int).T)
+        dark = tuple(np.rint(place - away * out).astype(int).T)
+        fits = seen[lit] & seen[dark] & ~shade[lit]
+        known |= fits
+        found = smooth[lit] - smooth[dark]
+        fits &= shade[dark] & _of_ratio(found, ratio) & (found @ ratio > step @ ratio)
+        step[fits] = found[fits]
+        good |= fits
+    label, count = ndimage.label(shade)
+    region = label[edge]
+    of_shadow = np.bincount(region[good], minlength=count + 1)
+    whole = np.bincount(region[known], minlength=count + 1)
+    sure = (of_shadow > BORDER * whole) & (of_shadow >= FEWEST)
+    good &= sure[region]
+    return sure[label] & shade, (place[good], step[good])
+
+
+def _local_steps(border, shade, ratio):
+    """Return the steps (rows, columns, 3) from shade to light, the mean along borders near by.
+
+    They vary along an edge, with how much of the sky is seen.
+    """
+    place, step = border
+    flat = np.ravel_multi_index(place.T, shade.shape)
+    own = (step @ ratio / (ratio @ ratio)) ** 2  # larger steps are less of half shade
+    sums = np.column_stack([own[:, None] * (step - ratio), own]).T
+    sums = [np.bincount(flat, v, shade.size).reshape(shade.shape) for v in sums]
+    wide = 2 * np.pi * NEAR_EDGES**2
+    sums = [wide * ndimage.gaussian_filter(v, NEAR_EDGES) for v in sums]
+    return ratio + np.stack(sums[:3], -1) / (sums[3] + PRIOR)[..., None]
+
+
+def _shares(log, seen, shade, step):
+    """Return the first three maps of `GroundShade`."""
+    # Within the band about an edge the share is what the brightness says, between lit and shaded.
+    inside = ndimage.binary_erosion(shade | ~seen, iterations=BAND)
+    outside = ndimage.binary_erosion(~shade | ~seen, iterations=BAND)
+    sure = seen & (inside | outside)
+    lit = _smoothed(log + shade[..., None] * step, sure, 1.5 * BAND, 6 * BAND)
+    hidden, _ = _hidden(log, lit, step)
+    # Flecks of sun within the shade: what is far brighter than the shade around.
+    fleck = np.zeros(log.shape[:2])
+    for _ in range(2):
+        shaded = _smoothed(log, seen & shade & (fleck < 0.5), FLECK)
+        own, off = _hidden(log, shaded + step, step)
+        fleck = np.clip((1 - own - off - PAINT) / (1 - PAINT), 0, 1)
+    share = np.where(sure, shade, np.clip(hidden, 0, 1)) * (1 - fleck) * seen
+    return share, lit, seen & ~sure
