@@ -30,8 +30,8 @@ SHARES, OFF = (0.5, 1.6), 0.3
 # and sky may have made; how many more of these there are than of those that are as much redder in
 # the dark, of all of both; red over blue of the sun over the sky; logarithm by which the tints of
 # the paints beside the edges differ.
-EDGES, BLUE = (60, 150), (0.7, 0.85)
-RED_OVER_BLUE, PAINTS = (1.4, 1.7), (0.2, 0.35)
+EDGES, BLUE = (60, 150), (0.78, 0.9)
+RED_OVER_BLUE, PAINTS = (1.5, 1.8), (0.2, 0.35)
 LEAK = 0.06  # of a shadow's step, from cell to cell, that hardly lets a state pass
 LEAST_PASS, UNSEEDED = 1e-4, 1e-5  # of a link; weight of being lit where nothing is known
 BORDER, FEWEST = 0.6, 12  # share of a region's border that is the edge of a shadow; cells of it
@@ -79,12 +79,13 @@ def ground_shade(picture, sure):
     return GroundShade(*maps, np.expm1(ratio), confidence, area)
 
 
-def lift(picture, shade, position, log):
-    """Return the logarithms of gain (n, 3) that take splats out of the shade on the ground.
+def hidden_share(picture, shade, position, log):
+    """Return how much of the sun is hidden from splats, how far they are of the ground, and steps.
 
-    `position` (n, 3) [m] and `log`, the logarithm of their light, are those of the splats. What
-    stands on the ground, higher than what its picture shows as ground, keeps its light. At the edge
-    of a shadow a splat's own light tells how much of it is shaded, if sun and shade may make it.
+    `position` (n, 3) [m] and `log`, the logarithm of their light, are those of the splats. At the
+    edge of a shadow a splat's own light tells how much of it is shaded, if sun and shade may make
+    it. What stands on the ground, higher than what its picture shows as ground, is none of it. The
+    steps (n, 3) are logarithms of lit over shaded light.
     """
     place = ((position[:, :2] - picture.low) / picture.cell - 0.5).T[::-1]
 
@@ -94,12 +95,18 @@ def lift(picture, shade, position, log):
     maps = shade.step, shade.lit
     step, lit = (np.stack([at(c) for c in np.moveaxis(v, 2, 0)], -1) for v in maps)
     own, off = _hidden(log, lit, step)
-    by_own = at(shade.band.astype(np.float32)) * (off < PAINT_OFF)
     share = at(shade.share)
+    by_own = at(shade.band.astype(np.float32)) * (off < PAINT_OFF)
     share += by_own * (np.clip(own, 0, 1) - share)
     height = position[:, 2] / picture.reach
-    share *= np.clip(2 - height, 0, 1) * (height > -LOWEST)
-    return step - np.log1p((1 - share[:, None]) * np.expm1(step))
+    ground = np.clip(2 - height, 0, 1) * (height > -LOWEST) * at(picture.seen.astype(np.float32))
+    return share, ground, step
+
+
+def lift(picture, shade, position, log):
+    """Return the logarithms of gain (n, 3) that take splats out of the shade on the ground."""
+    share, ground, step = hidden_share(picture, shade, position, log)
+    return step - np.log1p((1 - share * ground)[:, None] * np.expm1(step))
 
 
 def _hidden(log, lit, step):

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rainsim.constants import SH_0
-from rainsim.daylight.ground_shade import ground_shade, lift
+from rainsim.daylight.ground_shade import ground_shade, hidden_share, lift
 from rainsim.daylight.light import (
     about_normal,
     around_of,
@@ -72,6 +72,7 @@ MOST_VARIED = 0.4  # of a share, that variation may explain
 PAINT_VARIES = 0.15  # of the light of one paint, from splat to splat
 FOUND_UNSURE, GIVEN_UNSURE = math.radians(1), math.radians(3)  # of a sun's direction
 USUAL_RATIO = 6.0, 3.8, 2.0  # of a clear day, see `SunRatio`, where a given sun cannot be measured
+LEAST_SINE = 0.1  # of a given sun's elevation, by which level ground's ratio is that of the sun
 STAYS = "the light stays as captured"
 
 
@@ -141,7 +142,7 @@ def _by_casters(scene, found, sun, white):
     if sun is None and len(places.pair) < LEAST_PAIRS:
         return Relight(None, f"relight: too few flat surfaces to find a sun; {STAYS}")
     given = None if sun is None else _unit(*sun)
-    direction, score = given, 0.0
+    direction, score, shade = given, 0.0, None
     if len(places.pair) >= LEAST_PAIRS:
         direction, score = find_sun(places, solids, plane, near, given)
     if given is None and score <= LEAST_SCORE:
@@ -156,7 +157,12 @@ def _by_casters(scene, found, sun, white):
         direction = given
         measured, confidence = _measured(places, solids, plane, near, direction, 1.0, sent)
         if confidence < SURE:
-            measured = SunRatio(np.array(USUAL_RATIO), measured.pairs, measured.agree)
+            ratio = np.array(USUAL_RATIO)
+            if found.ground is not None:
+                shade = ground_shade(found.ground, SURE)
+            if shade is not None:  # on level ground
+                ratio = shade.ratio / max(direction[2], LEAST_SINE)
+            measured = SunRatio(ratio, measured.pairs, measured.agree)
     facts = direction, tuple(map(float, measured.ratio)), confidence
     if sun is None and confidence < SURE:
         shown = _unsure(confidence, len(scene.cameras))
@@ -173,6 +179,10 @@ def _by_casters(scene, found, sun, white):
     lit = sunlit(surface, solids, windows, direction, unsure)
     by_plane, _ = sunlit(surface, plane, windows, direction)
     lit = by_color(surface, lit, by_plane, light, direction, measured.ratio)
+    if shade is not None:
+        log = np.log(np.maximum(surface.light, DIM))
+        hidden, ground, _ = hidden_share(found.ground, shade, surface.position, log)
+        lit += ground * (1 - hidden - lit)
     gain = gains(surface, light, lit, direction, measured, light.around)
     later = sent_in(surface, patches, white, gain)
     later = later.at(surface.position, surface.normal, surface.flat)
