@@ -25,7 +25,7 @@ EVEN = 0.35  # of the step, by which luminance may go on changing beyond the edg
 STEP, BLUER, GREEN, LEAST_BLUER = (0.35, 2.5), (0.12, 1.4), 0.25, 0.3
 ALIKE = 0.2  # logarithm by which steps of one ratio differ, to find it
 # Steps of that ratio: shares of it, since half shade steps less, and logarithm off its direction.
-SHARES, OFF = (0.5, 1.6), 0.3
+SHARES, OFF = (0.5, 1.8), 0.35
 # Values that raise the confidence from 0 to 1: edges of one ratio; their share of those that sun
 # and sky may have made; how many more of these there are than of those that are as much redder in
 # the dark, of all of both; red over blue of the sun over the sky; logarithm by which the tints of
@@ -34,7 +34,9 @@ EDGES, BLUE = (60, 150), (0.78, 0.9)
 RED_OVER_BLUE, PAINTS = (1.5, 1.8), (0.2, 0.35)
 LEAK = 0.06  # of a shadow's step, from cell to cell, that hardly lets a state pass
 LEAST_PASS, UNSEEDED = 1e-4, 1e-5  # of a link; weight of being lit where nothing is known
-BORDER, FEWEST = 0.6, 12  # share of a region's border that is the edge of a shadow; cells of it
+# Shares of a border that are the edge of a shadow, from which on it is shade, a little and wholly;
+# and cells of that edge.
+BORDER, FEWEST = (0.35, 0.6), 12
 NEAR_EDGES, PRIOR = 12.0, 3.0  # cells over which the ratio is averaged; edges that the mean counts
 BAND = 3  # cells about the edge of a shadow in which the share is that of the brightness
 FLECK, PAINT = 5.0, 0.25  # cells about one in the shade, and share that paint may make of a fleck
@@ -69,13 +71,15 @@ def ground_shade(picture, sure):
     used = _of_ratio(step, ratio)
     bright, dark = (tuple(axis[used] for axis in side) for side in (bright, dark))
     shade = _spread(smooth, seen, ratio, bright, dark) > 0.5
-    shade, border = _confirmed(smooth, seen, shade, ratio)
-    if not shade.any():
+    shade = ndimage.median_filter(shade, 5) & seen
+    trust, border = _confirmed(smooth, seen, shade, ratio)
+    if not trust.any():
         return None
-    step = _local_steps(border, shade, ratio)
+    step = _local_steps(border, seen.shape, ratio)
+    share, lit, band = _shares(log, seen, trust > 0, step)
     inner = (slice(MARGIN, -MARGIN),) * 2
-    maps = (values[inner] for values in (*_shares(log, seen, shade, step), step))
-    area = np.count_nonzero(shade) / np.count_nonzero(seen)
+    maps = (values[inner] for values in (_kept(share, trust), lit, band, step))
+    area = trust.sum() / np.count_nonzero(seen)
     return GroundShade(*maps, np.expm1(ratio), confidence, area)
 
 
@@ -180,7 +184,7 @@ def _ratio_of(step, lit):
         return np.zeros(3), 0.0
     step, lit, other = step[likely], lit[likely], np.count_nonzero(_by_sun(step[:, ::-1]))
     some = step[:: max(1, len(step) // 300)]
-    size = step @ LUMINANCE_WEIGHTS  # half shade has smaller steps: large ones count more
+    size = (step @ LUMINANCE_WEIGHTS) ** 2  # half shade has smaller steps: large ones count more
     most = np.argmax([size[np.abs(step - one).max(axis=1) < ALIKE].sum() for one in some])
     ratio = some[most]
     for _ in range(8):
@@ -236,7 +240,7 @@ def _spread(smooth, seen, ratio, lit, shaded):
 
 
 def _confirmed(smooth, seen, shade, ratio):
-    """Return the regions of shade along whose border the ratio is found, and these borders.
+    """Return how sure each cell of shade is, 0 to 1, by the ratio along borders, and these.
 
     A border is places of cells at it in the shade (n, 2), and the steps across it (n, 3).
     """
@@ -259,24 +263,40 @@ def _confirmed(smooth, seen, shade, ratio):
     region = label[edge]
     of_shadow = np.bincount(region[good], minlength=count + 1)
     whole = np.bincount(region[known], minlength=count + 1)
-    sure = (of_shadow > BORDER * whole) & (of_shadow >= FEWEST)
-    good &= sure[region]
-    return sure[label] & shade, (place[good], step[good])
+    trust = (shade & ((of_shadow > BORDER[1] * whole) & (of_shadow >= FEWEST))[label]).astype(float)
+    # Of a region that has other borders, too, that part counts that lies along those of shadows.
+    of_shadow, whole = _around(place, np.stack([good, known]), shade.shape)
+    near = np.clip(
+        (of_shadow / np.maximum(whole, 1e-6) - BORDER[0]) / (BORDER[1] - BORDER[0]), 0, 1
+    )
+    trust = np.maximum(trust, shade * near * (of_shadow >= FEWEST))
+    good &= trust[tuple(place.T)] > 0
+    return trust, (place[good], step[good])
 
 
-def _local_steps(border, shade, ratio):
+def _kept(share, trust):
+    """Return the share (rows, columns) by how sure the shade around is."""
+    near = ndimage.grey_dilation(trust, size=2 * BAND + 1)
+    return share * np.where(trust > 0, trust, near)
+
+
+def _around(place, values, shape):
+    """Return the sums (k, rows, columns) of values (k, n) at places (n, 2) about each cell."""
+    flat = np.ravel_multi_index(place.T, shape)
+    sums = [np.bincount(flat, v, shape[0] * shape[1]).reshape(shape) for v in values]
+    wide = 2 * np.pi * NEAR_EDGES**2
+    return np.array([wide * ndimage.gaussian_filter(v, NEAR_EDGES) for v in sums])
+
+
+def _local_steps(border, shape, ratio):
     """Return the steps (rows, columns, 3) from shade to light, the mean along borders near by.
 
     They vary along an edge, with how much of the sky is seen.
     """
     place, step = border
-    flat = np.ravel_multi_index(place.T, shade.shape)
     own = (step @ ratio / (ratio @ ratio)) ** 2  # larger steps are less of half shade
-    sums = np.column_stack([own[:, None] * (step - ratio), own]).T
-    sums = [np.bincount(flat, v, shade.size).reshape(shade.shape) for v in sums]
-    wide = 2 * np.pi * NEAR_EDGES**2
-    sums = [wide * ndimage.gaussian_filter(v, NEAR_EDGES) for v in sums]
-    return ratio + np.stack(sums[:3], -1) / (sums[3] + PRIOR)[..., None]
+    sums = _around(place, np.column_stack([own[:, None] * (step - ratio), own]).T, shape)
+    return ratio + np.moveaxis(sums[:3] / (sums[3] + PRIOR), 0, -1)
 
 
 def _shares(log, seen, shade, step):

@@ -13,8 +13,9 @@ from scipy import ndimage
 
 SIDE = 384  # cells of the longer side
 # Of a depth, by which the ray's end may be moved to meet the ground; and of the cameras' height
-# over the ground, by which what they see may then be off it.
-OFF_DEPTH, OFF_HEIGHT = 0.15, 0.1
+# over the ground, by which what they see may then be off it, at least and at most: between them
+# SCATTERS times the deviation of what is seen.
+OFF_DEPTH, LEAST_OFF, MOST_OFF, SCATTERS = 0.15, 0.03, 0.1, 3.0
 LONGEST = 4.0  # cells that a pixel may be long on the ground
 MOST_SAMPLES = 2_500_000  # pixels of all cameras together
 DARK = 0.004  # linear light below which noise decides
@@ -42,7 +43,8 @@ def ground_picture(views):
     """
     pixels = sum(view.depth.size for view in views)
     step = max(1, round((pixels / MOST_SAMPLES) ** 0.5))
-    samples = [_samples(view, step) for view in views]
+    reach = _reach(views, step)
+    samples = [_samples(view, step, reach) for view in views]
     where = np.concatenate([one[0] for one in samples]) if samples else np.zeros((0, 2))
     if len(where) < FEWEST:
         return None
@@ -83,15 +85,13 @@ def ground_picture(views):
     seen = (np.bincount(key, minlength=count) > 0).reshape(rows, columns)
     things = ndimage.binary_opening((standing > 0).reshape(rows, columns))
     seen &= ~ndimage.binary_dilation(things)
-    reach = OFF_HEIGHT * float(np.median([view.eye[2] for view in views]))
     return _filled(mean.reshape(rows, columns, 3), seen, low, cell, reach)
 
 
-def _samples(view, step):
-    """Return what the pixels of a view show of the ground, and what stands on it.
+def _rays(view, step):
+    """Return the rays (n, 3) of pixels that look down on something, a unit deep, and depths (n,).
 
-    Places (n, 2) [m], logarithm of light (n, 3) and lengths (n,) [m] of the former, and places
-    (m, 2) of the latter.
+    And which pixels these are, of every `step`-th.
     """
     depth = view.depth[::step, ::step]
     fx, fy, cx, cy = view.lens
@@ -100,15 +100,35 @@ def _samples(view, step):
     ray[..., 0], ray[..., 1], ray[..., 2] = (column - cx) / fx, ((row - cy) / fy)[:, None], 1
     ray = ray @ view.matrix[:, :3]
     shown = np.isfinite(depth) & (ray[..., 2] < 0) & (view.eye[2] > 0)
-    ray, depth = ray[shown], depth[shown]
+    return ray[shown], depth[shown], shown
+
+
+def _reach(views, step):
+    """Return how far off its level [m] the ground is seen."""
+    height, found = float(np.median([view.eye[2] for view in views])) if views else 0.0, []
+    for view in views:
+        ray, depth, _ = _rays(view, 2 * step)
+        off = view.eye[2] + depth * ray[:, 2]
+        found.append(off[np.abs(off) < MOST_OFF * height])
+    # A quarter of a normal distribution lies within .32 deviations; crowns are half of some views.
+    off = np.percentile(np.abs(np.concatenate(found)), 25) if any(map(len, found)) else 0.0
+    return float(np.clip(SCATTERS * off / 0.32, LEAST_OFF * height, MOST_OFF * height))
+
+
+def _samples(view, step, reach):
+    """Return what the pixels of a view show of the ground, and what stands on it.
+
+    Places (n, 2) [m], logarithm of light (n, 3) and lengths (n,) [m] of the former, and places
+    (m, 2) of the latter.
+    """
+    ray, depth, shown = _rays(view, step)
     along = np.clip(-view.eye[2] / ray[:, 2], (1 - OFF_DEPTH) * depth, (1 + OFF_DEPTH) * depth)
     place = view.eye + along[:, None] * ray
-    square = (ray**2).sum(axis=1)
-    long = along * square / (fx * -ray[:, 2])  # of a pixel, away from the camera
-    ground = np.abs(place[:, 2]) < OFF_HEIGHT * view.eye[2]
-    light = np.log(np.maximum(view.light[::step, ::step][shown][ground], DARK))
+    long = along * (ray**2).sum(axis=1) / (view.lens[0] * -ray[:, 2])  # away from the camera
+    ground = np.abs(place[:, 2]) < reach
     thing = view.eye + depth[:, None] * ray
-    thing = thing[thing[:, 2] > OFF_HEIGHT * view.eye[2], :2]
+    thing = thing[thing[:, 2] > 2 * reach, :2]
+    light = np.log(np.maximum(view.light[::step, ::step][shown][ground], DARK))
     return place[ground, :2], light, long[ground], thing
 
 
