@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from rainsim.constants import SH_0
+from rainsim.daylight.lit_surface import BLACK
 from rainsim.daylight.relight import Relight, find_relight
 from rainsim.io import cache
 from rainsim.numerics.blocks import in_blocks
@@ -15,6 +16,7 @@ from rainsim.numerics.srgb import display, linear
 
 KIND = "daylight"
 ROUNDING = 0.1  # of the logarithm of an albedo
+MOST_OF_HARMONICS = np.float32(4)  # factor on harmonics: those of dark splats are noise
 NO_RELIGHT = Relight(None, "")
 
 
@@ -79,11 +81,13 @@ def under_clouds(splats, gain, share):
     def work(part):
         factor = 1 + np.float32(share) * (gain[part].astype(np.float32) - 1)
         base = splats.sh[part, 0] * np.float32(SH_0) + np.float32(0.5)
-        light = linear(base) * factor
+        # What is brightened and black gets some light: a splat may be dark to hide a bright one.
+        light = np.where(factor > 1, np.maximum(linear(base), BLACK), linear(base)) * factor
         # Nearly black: as the linear part of the display's curve has it.
         scale = np.where(base > 1e-3, display(light) / np.maximum(base, 1e-3), factor)
-        sh[part] = splats.sh[part] * scale[:, None, :]
-        sh[part, 0] += (scale - 1) * np.float32(0.5 / SH_0)
+        sh[part] = splats.sh[part] * np.minimum(scale, MOST_OF_HARMONICS)[:, None, :]
+        lit = (factor > 1) & (base < display(BLACK))
+        sh[part, 0] = (np.where(lit, display(light), base * scale) - np.float32(0.5)) / SH_0
 
     in_blocks(work, len(splats))
     return dataclasses.replace(splats, sh=sh)

@@ -22,7 +22,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rainsim.constants import SH_0
-from rainsim.daylight.ground_shade import ground_shade, hidden_share, lift
 from rainsim.daylight.light import (
     about_normal,
     around_of,
@@ -33,7 +32,7 @@ from rainsim.daylight.light import (
     sunlit,
     turn_to_the_open,
 )
-from rainsim.daylight.lit_surface import carried, luminance, surface_of
+from rainsim.daylight.lit_surface import BLACK, carried, luminance, surface_of
 from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_shade
 from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, of_one_paint, places_of, seen_from
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
@@ -42,6 +41,7 @@ from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
 from rainsim.surface.fuse import VOXEL
+from rainsim.surface.ground_shade import gain_of, hidden_at
 from rainsim.surface.views import FEWEST_CAMERAS
 from rainsim.surface.wall_parts import laid_on_walls
 
@@ -111,18 +111,17 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     if sun is not None and sun[1] <= 0:
         return Relight(None, f"relight: the given sun is below the horizon; {STAYS}")
     relight = _by_casters(scene, found, sun, white)
-    if relight.gain is not None or found.ground is None:
+    if relight.gain is not None or found.shade is None:
         return relight
-    shade = ground_shade(found.ground, SURE)
-    return relight if shade is None else _by_ground(scene, found.ground, shade)
+    return _by_ground(scene, found.shade)
 
 
-def _by_ground(scene, picture, shade):
+def _by_ground(scene, shade):
     """Return the `Relight` that lifts the shade found in a picture of the ground."""
     position, good = _placed(scene)
     gain = np.ones((len(good), 3), np.float16)
-    log = np.log(np.maximum(_light_of(scene.splats, good), DIM))
-    gain[good] = np.exp(lift(picture, shade, position[good], log))
+    log = np.log(np.maximum(_light_of(scene.splats, good), BLACK))
+    gain[good] = gain_of(shade, position[good], log, good)
     note = (
         f"relight: shade on {shade.area:.0%} of the ground in sight, where the sun gave "
         f"{luminance(shade.ratio[None])[0]:.1f} times the sky's light, goes as clouds cover the "
@@ -158,9 +157,7 @@ def _by_casters(scene, found, sun, white):
         measured, confidence = _measured(places, solids, plane, near, direction, 1.0, sent)
         if confidence < SURE:
             ratio = np.array(USUAL_RATIO)
-            if found.ground is not None:
-                shade = ground_shade(found.ground, SURE)
-            if shade is not None:  # on level ground
+            if (shade := found.shade) is not None:  # its ratio is that on level ground
                 ratio = shade.ratio / max(direction[2], LEAST_SINE)
             measured = SunRatio(ratio, measured.pairs, measured.agree)
     facts = direction, tuple(map(float, measured.ratio)), confidence
@@ -181,7 +178,7 @@ def _by_casters(scene, found, sun, white):
     lit = by_color(surface, lit, by_plane, light, direction, measured.ratio)
     if shade is not None:
         log = np.log(np.maximum(surface.light, DIM))
-        hidden, ground, _ = hidden_share(found.ground, shade, surface.position, log)
+        hidden, ground = hidden_at(shade, surface.position, log)[:2]
         lit += ground * (1 - hidden - lit)
     gain = gains(surface, light, lit, direction, measured, light.around)
     later = sent_in(surface, patches, white, gain)

@@ -12,10 +12,10 @@ import numpy as np
 from scipy import ndimage
 
 SIDE = 384  # cells of the longer side
-# Of a depth, by which the ray's end may be moved to meet the ground; and of the cameras' height
-# over the ground, by which what they see may then be off it, at least and at most: between them
-# SCATTERS times the deviation of what is seen.
-OFF_DEPTH, LEAST_OFF, MOST_OFF, SCATTERS = 0.15, 0.03, 0.1, 3.0
+# Of the cameras' height over the ground, by which what they see of it may be off it, at least and
+# at most: between them SCATTERS times the deviation of what is seen. And of a depth, by which the
+# ray's end may first be moved to meet the ground, where it is off as much as it may.
+LEAST_OFF, MOST_OFF, SCATTERS, OFF_DEPTH = 0.03, 0.1, 2.0, 0.15
 LONGEST = 4.0  # cells that a pixel may be long on the ground
 MOST_SAMPLES = 2_500_000  # pixels of all cameras together
 DARK = 0.004  # linear light below which noise decides
@@ -35,6 +35,11 @@ class GroundPicture(NamedTuple):
     reach: float  # m over the ground, up to which what is seen is taken for ground
 
 
+def place_on(grid, position):
+    """Return rows and columns (n, 2), with fractions, of places [m] on a `low` and a `cell`."""
+    return ((position[:, :2] - grid.low) / grid.cell - 0.5)[:, ::-1]
+
+
 def ground_picture(views):
     """Return the `GroundPicture` of `DepthView`s without their sky; None if they show no ground.
 
@@ -44,11 +49,11 @@ def ground_picture(views):
     pixels = sum(view.depth.size for view in views)
     step = max(1, round((pixels / MOST_SAMPLES) ** 0.5))
     reach = _reach(views, step)
-    samples = [_samples(view, step, reach) for view in views]
+    samples = [ground_of(view, step, reach) for view in views]
     where = np.concatenate([one[0] for one in samples]) if samples else np.zeros((0, 2))
     if len(where) < FEWEST:
         return None
-    lengths = np.concatenate([one[2] for one in samples])
+    lengths = np.concatenate([one[3] for one in samples])
     length = float(np.percentile(lengths, SHORT))
     low, high = np.percentile(where, BOX, axis=0)
     cell = max(float((high - low).max()) / SIDE, length)
@@ -61,7 +66,7 @@ def ground_picture(views):
         good = good & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         return (row * columns + column)[good], good
 
-    for place, log, long, high_place in samples:
+    for place, _, log, long, things in samples:
         key, near = cells(place, long < LONGEST * cell)
         total = np.bincount(key, minlength=count)
         found = np.flatnonzero(total)
@@ -70,7 +75,7 @@ def ground_picture(views):
         keys.append(found)
         logs.append(np.stack(mean, -1))
         weights.append(1 / np.maximum(long, cell))
-        key, _ = cells(high_place, np.ones(len(high_place), bool))
+        key, _ = cells(things, np.ones(len(things), bool))
         standing += np.bincount(key, minlength=count) - total
     camera = np.repeat(np.arange(len(views)), [len(key) for key in keys])
     key, log, own = np.concatenate(keys), np.concatenate(logs), np.concatenate(weights)
@@ -83,8 +88,8 @@ def ground_picture(views):
         exposure += _means(camera, weight, off, len(views))
         exposure -= np.median(exposure, axis=0)
     seen = (np.bincount(key, minlength=count) > 0).reshape(rows, columns)
-    things = ndimage.binary_opening((standing > 0).reshape(rows, columns))
-    seen &= ~ndimage.binary_dilation(things)
+    stands = ndimage.binary_opening((standing > 0).reshape(rows, columns))
+    seen &= ~ndimage.binary_dilation(stands)
     return _filled(mean.reshape(rows, columns, 3), seen, low, cell, reach)
 
 
@@ -115,21 +120,24 @@ def _reach(views, step):
     return float(np.clip(SCATTERS * off / 0.32, LEAST_OFF * height, MOST_OFF * height))
 
 
-def _samples(view, step, reach):
-    """Return what the pixels of a view show of the ground, and what stands on it.
+def ground_of(view, step, reach):
+    """Return what every `step`-th pixel of a view shows of the ground, and what stands on it.
 
-    Places (n, 2) [m], logarithm of light (n, 3) and lengths (n,) [m] of the former, and places
-    (m, 2) of the latter.
+    Places (n, 2) [m] on the ground, which pixels show these, the logarithms of their light (n, 3)
+    and lengths (n,) [m], and the places (m, 2) of what stands.
     """
     ray, depth, shown = _rays(view, step)
-    along = np.clip(-view.eye[2] / ray[:, 2], (1 - OFF_DEPTH) * depth, (1 + OFF_DEPTH) * depth)
+    loose = (reach / view.eye[2] - LEAST_OFF) / (MOST_OFF - LEAST_OFF)
+    off = OFF_DEPTH * min(max(loose, 0), 1) * depth
+    along = np.clip(-view.eye[2] / ray[:, 2], depth - off, depth + off)
     place = view.eye + along[:, None] * ray
     long = along * (ray**2).sum(axis=1) / (view.lens[0] * -ray[:, 2])  # away from the camera
     ground = np.abs(place[:, 2]) < reach
-    thing = view.eye + depth[:, None] * ray
-    thing = thing[thing[:, 2] > 2 * reach, :2]
-    light = np.log(np.maximum(view.light[::step, ::step][shown][ground], DARK))
-    return place[ground, :2], light, long[ground], thing
+    things = view.eye + depth[:, None] * ray
+    things = things[things[:, 2] > 2 * reach, :2]
+    shown[shown] = ground
+    light = np.log(np.maximum(view.light[::step, ::step][shown], DARK))
+    return place[ground, :2], shown, light, long[ground], things
 
 
 def _means(group, weight, values, count):

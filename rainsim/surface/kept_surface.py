@@ -17,12 +17,13 @@ from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 from rainsim.raster import Rasterizer, prepare
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
-from rainsim.surface.ground_picture import GroundPicture, ground_picture
+from rainsim.surface.ground_picture import ground_picture
+from rainsim.surface.ground_shade import GroundShade, ground_shade, with_given
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
 from rainsim.surface.wall_parts import laid_on_walls
 
 KIND = "surface"
-GROUND = "ground_log", "ground_seen", "ground_low"  # arrays of the picture of the ground
+SHADE = "shade "  # before the names of what is kept of it
 FEWEST = 100  # splats
 # Shares of the light that a splat gives to pictures, that goes to the sky: of one that is sky, and
 # of one that is sky if it is as bright or alone and about as blue.
@@ -50,7 +51,7 @@ class Found(NamedTuple):
     solid: np.ndarray  # (m, 10), float32
     open: np.ndarray  # (rows, columns), bool, see `captured_sky.seen_sky`
     half: float  # m, from the middle, how far they look
-    ground: GroundPicture | None = None  # None: they show too little of it
+    shade: GroundShade | None = None  # on the ground; None: none is sure
 
 
 _last = [None, None]  # name of the result that was asked for last, and the result
@@ -72,17 +73,17 @@ def kept_surface(scene):
                       "solid": found.solid}  # fmt: skip
             arrays |= found.surface._asdict()
             facts = {"half": found.half}
-            if found.ground is not None:
-                facts["ground"] = found.ground.cell, found.ground.reach
-                arrays |= dict(zip(GROUND, found.ground, strict=False))
+            for key, value in () if found.shade is None else found.shade._asdict().items():
+                (arrays if isinstance(value, np.ndarray) else facts)[SHADE + key] = value
             cache.write(KIND, name, facts, arrays)
         else:
             facts, arrays = entry
             own = [arrays.pop(name) for name in ("sky", "middle", "solid", "open")]
-            ground = None
-            if "ground" in facts:
-                ground = GroundPicture(*(arrays.pop(name) for name in GROUND), *facts["ground"])
-            found = Found(CaptureSurface(**arrays), *own, facts["half"], ground)
+            shade = None
+            if SHADE + "area" in facts:
+                kept = facts | {key: arrays.pop(key) for key in list(arrays) if SHADE in key}
+                shade = GroundShade(*(kept[SHADE + key] for key in GroundShade._fields))
+            found = Found(CaptureSurface(**arrays), *own, facts["half"], shade)
         _last[:] = name, found
     return _last[1]
 
@@ -110,8 +111,13 @@ def find_surface(scene):
         alone = _alone(near, surface)
         sky = good & _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
     solid = _solid(position, near, splats, good & ~sky, views, frame, surface)
-    ground = ground_picture(views)
-    return Found(surface, sky, middle, solid, seen_sky(views, shown), half, ground)
+    found = Found(surface, sky, middle, solid, seen_sky(views, shown), half)
+    picture = ground_picture(views)
+    shade = None if picture is None else ground_shade(picture)
+    if shade is None:
+        return found
+    near = NEAR / frame.meters_per_unit
+    return found._replace(shade=with_given(shade, views, cameras, rasterizer, near))
 
 
 def _solid(position, near, splats, good, views, frame, surface):

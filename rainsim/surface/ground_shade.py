@@ -13,8 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
 
+from rainsim.jit import get_num_threads
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
+from rainsim.surface.ground_picture import ground_of, place_on
 
 EDGE = 3  # cells from the middle of an edge to the places on both sides
 SMOOTH = 1.2  # cells: deviation of the weights of a place's colour
@@ -36,37 +39,53 @@ LEAK = 0.06  # of a shadow's step, from cell to cell, that hardly lets a state p
 LEAST_PASS, UNSEEDED = 1e-4, 1e-5  # of a link; weight of being lit where nothing is known
 # Shares of a border that are the edge of a shadow, from which on it is shade, a little and wholly;
 # and cells of that edge.
-BORDER, FEWEST = (0.35, 0.6), 12
+BORDER, FEWEST = (0.3, 0.5), 12
 NEAR_EDGES, PRIOR = 12.0, 3.0  # cells over which the ratio is averaged; edges that the mean counts
 BAND = 3  # cells about the edge of a shadow in which the share is that of the brightness
 FLECK, PAINT = 5.0, 0.25  # cells about one in the shade, and share that paint may make of a fleck
-PAINT_OFF = 0.4  # logarithm off the step's direction, that paint may make of a splat
+FULL = 0.85  # hidden share by a pixel's own light, from which on all of it counts as shaded
+DARKER = 0.3  # logarithm, by which paint may be darker than what is around it
+BRIGHTER = 0.4  # logarithm, by which paint may be brighter than what is around it
+# Logarithms off the step's direction, that paint may make of a splat and of a pixel.
+PAINT_OFF, OTHER_PAINT = 0.4, 0.3
 LOWEST = 4.0  # of what may be off the ground's level: splats as far below it are still its own
 SHARE_OF_WIDTH = 1.0, 1e-3  # of a mean, see `_smoothed`
+EVERY = 2  # px, of the pictures whose pixels are asked
+# Paints are the same within these logarithms of the ratio of two channels and of luminance, and if
+# they lie within so many cells.
+SAME_TINT, SAME_LIGHT, PAINT_REACH = 0.2, 0.6, 200.0
+SURE = 0.5  # confidence from which on shade is believed
+BY_PLACE = 1.0  # px, that what a splat's place says counts as
 MARGIN = 2 * EDGE + 2  # cells around the picture, so that no neighbour is beyond it
 
 
 class GroundShade(NamedTuple):
-    """The shade of a ground picture."""
+    """The shade of a ground picture; maps are (rows, columns)."""
 
-    share: np.ndarray  # (rows, columns), of the sun that something hides
+    share: np.ndarray  # of the sun that something hides
     lit: np.ndarray  # (rows, columns, 3), logarithm of light without shade, around a cell
-    band: np.ndarray  # (rows, columns) bool, about the edges of shadows
+    band: np.ndarray  # bool, about the edges of shadows
     step: np.ndarray  # (rows, columns, 3), logarithm of lit over shaded light
+    seen: np.ndarray  # bool; this and the next as in `GroundPicture`
+    low: np.ndarray
     ratio: np.ndarray  # (3,) of the sun on level ground over the sky
+    # (n, 2), px: the light that each splat gives to pixels of shaded ground, and to others.
+    given: np.ndarray
+    cell: float
+    reach: float
     confidence: float  # 0 to 1
-    area: float  # share of the ground seen that is in the shade
+    area: float  # share of the ground in sight that is in the shade
 
 
-def ground_shade(picture, sure):
-    """Return the `GroundShade` of a `GroundPicture`; None below a confidence, or without shade."""
+def ground_shade(picture):
+    """Return the `GroundShade` of a `GroundPicture`; None where it is not SURE, or without any."""
     margin = [(MARGIN, MARGIN)] * 2
     log, seen = np.pad(picture.log, [*margin, (0, 0)]), np.pad(picture.seen, margin)
     smooth = _smoothed(log, seen, SMOOTH)
     bright, dark = _edges(smooth, seen)
     step = smooth[bright] - smooth[dark]
     ratio, confidence = _ratio_of(step, smooth[bright])
-    if confidence < sure:
+    if confidence < SURE:
         return None
     used = _of_ratio(step, ratio)
     bright, dark = (tuple(axis[used] for axis in side) for side in (bright, dark))
@@ -76,41 +95,89 @@ def ground_shade(picture, sure):
     if not trust.any():
         return None
     step = _local_steps(border, seen.shape, ratio)
+    trust *= _known_paint(smooth, seen & ~shade, trust > 0, step)
+    if not trust.any():
+        return None
     share, lit, band = _shares(log, seen, trust > 0, step)
     inner = (slice(MARGIN, -MARGIN),) * 2
-    maps = (values[inner] for values in (_kept(share, trust), lit, band, step))
-    area = trust.sum() / np.count_nonzero(seen)
-    return GroundShade(*maps, np.expm1(ratio), confidence, area)
+    share, lit, step = (v[inner].astype(np.float32) for v in (_kept(share, trust), lit, step))
+    area = float(trust.sum() / np.count_nonzero(seen))
+    return GroundShade(
+        share, lit, band[inner], step, picture.seen, picture.low, np.expm1(ratio),
+        np.zeros((0, 2), np.float32), picture.cell, picture.reach, confidence, area,
+    )  # fmt: skip
 
 
-def hidden_share(picture, shade, position, log):
-    """Return how much of the sun is hidden from splats, how far they are of the ground, and steps.
+def hidden_at(shade, position, log):
+    """Return how much of the sun is hidden from places, and how far they are of the ground.
 
-    `position` (n, 3) [m] and `log`, the logarithm of their light, are those of the splats. At the
-    edge of a shadow a splat's own light tells how much of it is shaded, if sun and shade may make
-    it. What stands on the ground, higher than what its picture shows as ground, is none of it. The
-    steps (n, 3) are logarithms of lit over shaded light.
+    `position` (n, 3) [m] and `log`, the logarithm of their light, are those of the places. At the
+    edge of a shadow their own light tells how much of it is shaded, if sun and shade may make it.
+    What stands on the ground, higher than what its picture shows as ground, is none of it. Then the
+    logarithms (n, 3) of lit over shaded light, and of light without shade, about each.
     """
-    place = ((position[:, :2] - picture.low) / picture.cell - 0.5).T[::-1]
+    place = place_on(shade, position).T
 
     def at(values):
-        return ndimage.map_coordinates(values, place, np.float32, order=1)
+        return ndimage.map_coordinates(values, place, np.float32, order=1, mode="nearest")
 
     maps = shade.step, shade.lit
     step, lit = (np.stack([at(c) for c in np.moveaxis(v, 2, 0)], -1) for v in maps)
-    own, off = _hidden(log, lit, step)
+    height = position[:, 2] / shade.reach
+    ground = np.clip(2 - height, 0, 1) * (height > -LOWEST) * at(shade.seen.astype(np.float32))
     share = at(shade.share)
+    own, off = _hidden(log, lit, step)
     by_own = at(shade.band.astype(np.float32)) * (off < PAINT_OFF)
-    share += by_own * (np.clip(own, 0, 1) - share)
-    height = position[:, 2] / picture.reach
-    ground = np.clip(2 - height, 0, 1) * (height > -LOWEST) * at(picture.seen.astype(np.float32))
-    return share, ground, step
+    return share + by_own * (np.clip(own, 0, 1) - share), ground, by_own * ground, step, lit
 
 
-def lift(picture, shade, position, log):
-    """Return the logarithms of gain (n, 3) that take splats out of the shade on the ground."""
-    share, ground, step = hidden_share(picture, shade, position, log)
-    return step - np.log1p((1 - share * ground)[:, None] * np.expm1(step))
+def gain_of(shade, position, log, which):
+    """Return the gain (n, 3) on the linear light of splats, that takes the ground out of the shade.
+
+    `which` are the numbers of the splats, or a mask of all. Those of sparse photographs are no
+    surface: what they give light to tells more than their places. A splat of half the light of
+    shaded pixels and half that of others takes the mean of the gains of both.
+    """
+    share, ground, own, step, lit = hidden_at(shade, position, log)
+    by_place = np.exp(step) / (1 + (1 - share)[:, None] * np.expm1(step))
+    by_place = 1 + ground[:, None] * (by_place - 1)
+    given = shade.given[which]
+    total = given.sum(axis=1) + BY_PLACE
+    shaded = given[:, 0] / total
+    # What hangs off the ground over the shade and over other things is haze, and keeps its light.
+    only = np.clip(3 * shaded - 2, 0, 1)
+    shaded *= np.maximum(ground, only)
+    mean = 1 + shaded[:, None] * np.expm1(step) + (BY_PLACE / total)[:, None] * (by_place - 1)
+    gain = np.log(mean + own[:, None] * (by_place - mean))
+    # Dark splats make shade by hiding sunlit ones behind them: they are lifted to what is around,
+    # and nothing becomes much brighter than the ground in the sun about it.
+    gain += only[:, None] * np.maximum(lit - DARKER - log - gain, 0)
+    return np.exp(np.minimum(gain, np.maximum(lit + BRIGHTER - log, 0)))
+
+
+def with_given(shade, views, cameras, rasterizer, near):
+    """Return a `GroundShade` with the light that splats give to it in views.
+
+    The cameras (capture frame) are those of the views; see `Rasterizer.weigh` for `near`. Of pixels
+    in half shade every other one counts as shaded.
+    """
+    total = 0.0
+    near_shade = ndimage.grey_dilation(shade.share, size=3)
+    for view, camera in zip(views, cameras, strict=True):
+        height, width = view.depth.shape
+        place, ground, log = ground_of(view, 1, shade.reach)[:3]
+        cell = np.rint(place_on(shade, place)).astype(int)
+        inside = ((cell >= 0) & (cell < shade.share.shape)).all(axis=1)
+        cell = tuple(np.where(inside[:, None], cell, 0).T)
+        own, off = _hidden(log, shade.lit[cell], shade.step[cell])
+        hidden = np.zeros(view.depth.shape, np.float32)
+        hidden[ground] = inside * near_shade[cell] * (off < OTHER_PAINT) * np.clip(own / FULL, 0, 1)
+        row, column = np.arange(height)[:, None], np.arange(width)
+        dither = (0.5698 * row + 0.7549 * column) % 1  # an even sequence, Roberts 2018
+        part = np.where(hidden > dither, 1, -1).astype(np.int8)
+        light = rasterizer.weigh(camera.resized(width, height), near, part, EVERY)
+        total = total + light[:, [1, 0]]
+    return shade._replace(given=total.astype(np.float32))
 
 
 def _hidden(log, lit, step):
@@ -272,6 +339,27 @@ def _confirmed(smooth, seen, shade, ratio):
     trust = np.maximum(trust, shade * near * (of_shadow >= FEWEST))
     good &= trust[tuple(place.T)] > 0
     return trust, (place[good], step[good])
+
+
+def _known_paint(smooth, lit, shade, step):
+    """Return how far shade, lifted, has colours that lie in the sun near by, 0 to 1.
+
+    Shaded leaves are no bluer than sunlit ones as the ground is, and would become brown.
+    """
+    color = np.where(shade[..., None], smooth + step, smooth)
+    tint = (color[..., :2] - color[..., 1:]) / SAME_TINT
+    paint = [tint, (color @ LUMINANCE_WEIGHTS)[..., None] / SAME_LIGHT]
+    place = np.moveaxis(np.indices(shade.shape), 0, -1) / PAINT_REACH
+    features = np.concatenate([*paint, place], -1).astype(np.float32)
+    known = np.zeros(shade.shape)
+    if lit.any():
+        tree = cKDTree(features[lit][::2], compact_nodes=False, balanced_tree=False)
+        away, _ = tree.query(
+            features[shade], distance_upper_bound=1.0, eps=0.3, workers=get_num_threads()
+        )
+        known[shade] = np.isfinite(away)
+    wide = [ndimage.uniform_filter(v.astype(float), 2 * BAND + 1) for v in (known, shade)]
+    return np.clip(3 * wide[0] / np.maximum(wide[1], 1e-6) - 1, 0, 1) * shade
 
 
 def _kept(share, trust):
