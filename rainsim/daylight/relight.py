@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rainsim.constants import SH_0
+from rainsim.daylight.fitted_gain import fitted
 from rainsim.daylight.light import (
     about_normal,
     around_of,
@@ -41,8 +42,8 @@ from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
 from rainsim.surface.fuse import VOXEL
-from rainsim.surface.ground_shade import gain_of, hidden_at
-from rainsim.surface.views import FEWEST_CAMERAS
+from rainsim.surface.ground_shade import gain_at, hidden_at
+from rainsim.surface.views import FEWEST_CAMERAS, cameras_of
 from rainsim.surface.wall_parts import laid_on_walls
 
 SIDE = 1024  # px of the maps of the sky's light
@@ -113,15 +114,16 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     relight = _by_casters(scene, found, sun, white)
     if relight.gain is not None or found.shade is None:
         return relight
-    return _by_ground(scene, found.shade)
+    return _by_ground(scene, cameras_of(scene, found.middle, found.half), found.shade)
 
 
-def _by_ground(scene, shade):
+def _by_ground(scene, cameras, shade):
     """Return the `Relight` that lifts the shade found in a picture of the ground."""
     position, good = _placed(scene)
-    gain = np.ones((len(good), 3), np.float16)
     log = np.log(np.maximum(_light_of(scene.splats, good), BLACK))
-    gain[good] = gain_of(shade, position[good], log, good)
+    gain = np.ones((len(good), 3), np.float32)
+    gain[good] = gain_at(shade, position[good], log)
+    gain = fitted(scene, cameras, shade, gain).astype(np.float16)
     note = (
         f"relight: shade on {shade.area:.0%} of the ground in sight, where the sun gave "
         f"{luminance(shade.ratio[None])[0]:.1f} times the sky's light, goes as clouds cover the "

@@ -50,12 +50,10 @@ BRIGHTER = 0.4  # logarithm, by which paint may be brighter than what is around 
 PAINT_OFF, OTHER_PAINT = 0.4, 0.3
 LOWEST = 4.0  # of what may be off the ground's level: splats as far below it are still its own
 SHARE_OF_WIDTH = 1.0, 1e-3  # of a mean, see `_smoothed`
-EVERY = 2  # px, of the pictures whose pixels are asked
 # Paints are the same within these logarithms of the ratio of two channels and of luminance, and if
 # they lie within so many cells.
 SAME_TINT, SAME_LIGHT, PAINT_REACH = 0.2, 0.6, 200.0
 SURE = 0.5  # confidence from which on shade is believed
-BY_PLACE = 1.0  # px, that what a splat's place says counts as
 MARGIN = 2 * EDGE + 2  # cells around the picture, so that no neighbour is beyond it
 
 
@@ -69,8 +67,6 @@ class GroundShade(NamedTuple):
     seen: np.ndarray  # bool; this and the next as in `GroundPicture`
     low: np.ndarray
     ratio: np.ndarray  # (3,) of the sun on level ground over the sky
-    # (n, 2), px: the light that each splat gives to pixels of shaded ground, and to others.
-    given: np.ndarray
     cell: float
     reach: float
     confidence: float  # 0 to 1
@@ -104,7 +100,7 @@ def ground_shade(picture):
     area = float(trust.sum() / np.count_nonzero(seen))
     return GroundShade(
         share, lit, band[inner], step, picture.seen, picture.low, np.expm1(ratio),
-        np.zeros((0, 2), np.float32), picture.cell, picture.reach, confidence, area,
+        picture.cell, picture.reach, confidence, area,
     )  # fmt: skip
 
 
@@ -128,56 +124,39 @@ def hidden_at(shade, position, log):
     share = at(shade.share)
     own, off = _hidden(log, lit, step)
     by_own = at(shade.band.astype(np.float32)) * (off < PAINT_OFF)
-    return share + by_own * (np.clip(own, 0, 1) - share), ground, by_own * ground, step, lit
+    return share + by_own * (np.clip(own, 0, 1) - share), ground, step, lit
 
 
-def gain_of(shade, position, log, which):
+def gain_at(shade, position, log):
     """Return the gain (n, 3) on the linear light of splats, that takes the ground out of the shade.
 
-    `which` are the numbers of the splats, or a mask of all. Those of sparse photographs are no
-    surface: what they give light to tells more than their places. A splat of half the light of
-    shaded pixels and half that of others takes the mean of the gains of both.
+    By their places alone, and their light: see `hidden_at`.
     """
-    share, ground, own, step, lit = hidden_at(shade, position, log)
-    by_place = np.exp(step) / (1 + (1 - share)[:, None] * np.expm1(step))
-    by_place = 1 + ground[:, None] * (by_place - 1)
-    given = shade.given[which]
-    total = given.sum(axis=1) + BY_PLACE
-    shaded = given[:, 0] / total
-    # What hangs off the ground over the shade and over other things is haze, and keeps its light.
-    only = np.clip(3 * shaded - 2, 0, 1)
-    shaded *= np.maximum(ground, only)
-    mean = 1 + shaded[:, None] * np.expm1(step) + (BY_PLACE / total)[:, None] * (by_place - 1)
-    gain = np.log(mean + own[:, None] * (by_place - mean))
+    share, ground, step, lit = hidden_at(shade, position, log)
+    gain = step - np.log1p((1 - share)[:, None] * np.expm1(step))
     # Dark splats make shade by hiding sunlit ones behind them: they are lifted to what is around,
     # and nothing becomes much brighter than the ground in the sun about it.
-    gain += only[:, None] * np.maximum(lit - DARKER - log - gain, 0)
-    return np.exp(np.minimum(gain, np.maximum(lit + BRIGHTER - log, 0)))
+    gain += (share > FULL)[:, None] * np.maximum(lit - DARKER - log - gain, 0)
+    gain = np.minimum(gain, np.maximum(lit + BRIGHTER - log, 0))
+    return 1 + ground[:, None] * np.expm1(gain)
 
 
-def with_given(shade, views, cameras, rasterizer, near):
-    """Return a `GroundShade` with the light that splats give to it in views.
+def gain_of_pixels(shade, view):
+    """Return the logarithms of gain (height, width, 3) that take a view's ground out of the shade.
 
-    The cameras (capture frame) are those of the views; see `Rasterizer.weigh` for `near`. Of pixels
-    in half shade every other one counts as shaded.
+    A pixel's own light tells how much of the sun is hidden from it, if sun and shade may make it.
     """
-    total = 0.0
-    near_shade = ndimage.grey_dilation(shade.share, size=3)
-    for view, camera in zip(views, cameras, strict=True):
-        height, width = view.depth.shape
-        place, ground, log = ground_of(view, 1, shade.reach)[:3]
-        cell = np.rint(place_on(shade, place)).astype(int)
-        inside = ((cell >= 0) & (cell < shade.share.shape)).all(axis=1)
-        cell = tuple(np.where(inside[:, None], cell, 0).T)
-        own, off = _hidden(log, shade.lit[cell], shade.step[cell])
-        hidden = np.zeros(view.depth.shape, np.float32)
-        hidden[ground] = inside * near_shade[cell] * (off < OTHER_PAINT) * np.clip(own / FULL, 0, 1)
-        row, column = np.arange(height)[:, None], np.arange(width)
-        dither = (0.5698 * row + 0.7549 * column) % 1  # an even sequence, Roberts 2018
-        part = np.where(hidden > dither, 1, -1).astype(np.int8)
-        light = rasterizer.weigh(camera.resized(width, height), near, part, EVERY)
-        total = total + light[:, [1, 0]]
-    return shade._replace(given=total.astype(np.float32))
+    place, ground, log = ground_of(view, 1, shade.reach)[:3]
+    cell = np.rint(place_on(shade, place)).astype(int)
+    inside = ((cell >= 0) & (cell < shade.share.shape)).all(axis=1)
+    cell = tuple(np.where(inside[:, None], cell, 0).T)
+    own, off = _hidden(log, shade.lit[cell], shade.step[cell])
+    near = ndimage.grey_dilation(shade.share, size=3)[cell] * inside * (off < OTHER_PAINT)
+    hidden = np.minimum(near, np.clip(own / FULL, 0, 1))
+    step = shade.step[cell]
+    gain = np.zeros((*view.depth.shape, 3), np.float32)
+    gain[ground] = step - np.log1p((1 - hidden)[:, None] * np.expm1(step))
+    return gain
 
 
 def _hidden(log, lit, step):

@@ -18,7 +18,7 @@ from rainsim.raster import Rasterizer, prepare
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.ground_picture import ground_picture
-from rainsim.surface.ground_shade import GroundShade, ground_shade, with_given
+from rainsim.surface.ground_shade import GroundShade, ground_shade
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
 from rainsim.surface.wall_parts import laid_on_walls
 
@@ -111,13 +111,9 @@ def find_surface(scene):
         alone = _alone(near, surface)
         sky = good & _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
     solid = _solid(position, near, splats, good & ~sky, views, frame, surface)
-    found = Found(surface, sky, middle, solid, seen_sky(views, shown), half)
     picture = ground_picture(views)
     shade = None if picture is None else ground_shade(picture)
-    if shade is None:
-        return found
-    near = NEAR / frame.meters_per_unit
-    return found._replace(shade=with_given(shade, views, cameras, rasterizer, near))
+    return Found(surface, sky, middle, solid, seen_sky(views, shown), half, shade)
 
 
 def _solid(position, near, splats, good, views, frame, surface):

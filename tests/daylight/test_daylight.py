@@ -9,7 +9,7 @@ import scenes
 import sunny_yard
 from rainsim.config.settings import Config
 from rainsim.daylight import kept_light, relight, sky_light
-from rainsim.daylight.kept_light import covered_share, under_clouds
+from rainsim.daylight.clouds import covered_share, under_clouds
 from rainsim.daylight.light import Light
 from rainsim.daylight.lit_surface import Surface
 from rainsim.daylight.shade import NO_EDGES, edge_shade, factor_in_shade
