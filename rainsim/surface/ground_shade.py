@@ -52,7 +52,8 @@ LOWEST = 4.0  # of what may be off the ground's level: splats as far below it ar
 SHARE_OF_WIDTH = 1.0, 1e-3  # of a mean, see `_smoothed`
 # Paints are the same within these logarithms of the ratio of two channels and of luminance, and if
 # they lie within so many cells.
-SAME_TINT, SAME_LIGHT, PAINT_REACH = 0.2, 0.6, 200.0
+SAME_TINT, SAME_LIGHT, PAINT_REACH = 0.2, 1.0, 150.0
+ALIKE_PLACES, LACKS = 8, (-0.1, 0.5)  # of one paint; logarithms, see `_known_paint`
 SURE = 0.5  # confidence from which on shade is believed
 MARGIN = 2 * EDGE + 2  # cells around the picture, so that no neighbour is beyond it
 
@@ -91,7 +92,8 @@ def ground_shade(picture):
     if not trust.any():
         return None
     step = _local_steps(border, seen.shape, ratio)
-    trust *= _known_paint(smooth, seen & ~shade, trust > 0, step)
+    known, lacks = _known_paint(smooth, seen & ~shade, trust > 0, step)
+    trust, step = trust * known, step + lacks
     if not trust.any():
         return None
     share, lit, band = _shares(log, seen, trust > 0, step)
@@ -151,7 +153,8 @@ def gain_of_pixels(shade, view):
     inside = ((cell >= 0) & (cell < shade.share.shape)).all(axis=1)
     cell = tuple(np.where(inside[:, None], cell, 0).T)
     own, off = _hidden(log, shade.lit[cell], shade.step[cell])
-    near = ndimage.grey_dilation(shade.share, size=3)[cell] * inside * (off < OTHER_PAINT)
+    near = ndimage.grey_dilation(shade.share, size=3)[cell] * inside
+    near *= np.clip(2 - off / OTHER_PAINT, 0, 1)
     hidden = np.minimum(near, np.clip(own / FULL, 0, 1))
     step = shade.step[cell]
     gain = np.zeros((*view.depth.shape, 3), np.float32)
@@ -321,24 +324,31 @@ def _confirmed(smooth, seen, shade, ratio):
 
 
 def _known_paint(smooth, lit, shade, step):
-    """Return how far shade, lifted, has colours that lie in the sun near by, 0 to 1.
+    """Return how far shade, lifted, has colours that lie in the sun near by, and what it lacks.
 
-    Shaded leaves are no bluer than sunlit ones as the ground is, and would become brown.
+    The first is 0 to 1: shaded leaves are no bluer than sunlit ones as the ground is, and would
+    become brown. The second, logarithms (rows, columns, 3), is how far sunlit places of such
+    colours are from it: far from the edge of a shadow less of the sky may be seen.
     """
     color = np.where(shade[..., None], smooth + step, smooth)
     tint = (color[..., :2] - color[..., 1:]) / SAME_TINT
     paint = [tint, (color @ LUMINANCE_WEIGHTS)[..., None] / SAME_LIGHT]
     place = np.moveaxis(np.indices(shade.shape), 0, -1) / PAINT_REACH
     features = np.concatenate([*paint, place], -1).astype(np.float32)
-    known = np.zeros(shade.shape)
-    if lit.any():
-        tree = cKDTree(features[lit][::2], compact_nodes=False, balanced_tree=False)
-        away, _ = tree.query(
-            features[shade], distance_upper_bound=1.0, eps=0.3, workers=get_num_threads()
-        )
-        known[shade] = np.isfinite(away)
+    known, lacks = np.zeros(shade.shape, bool), np.zeros_like(color)
+    some = np.argwhere(lit)[::3]
+    if len(some) > ALIKE_PLACES:
+        tree = cKDTree(features[tuple(some.T)], compact_nodes=False, balanced_tree=False)
+        away, near = tree.query(
+            features[shade], ALIKE_PLACES, eps=0.5, distance_upper_bound=1.0,
+            workers=get_num_threads(),
+        )  # fmt: skip
+        known[shade] = np.isfinite(away).all(axis=1)
+        of_them = color[tuple(some.T)][np.where(np.isfinite(away), near, 0)].mean(axis=1)
+        lacks[shade] = of_them - color[shade]
     wide = [ndimage.uniform_filter(v.astype(float), 2 * BAND + 1) for v in (known, shade)]
-    return np.clip(3 * wide[0] / np.maximum(wide[1], 1e-6) - 1, 0, 1) * shade
+    share = np.clip(3 * wide[0] / np.maximum(wide[1], 1e-6) - 1, 0, 1) * shade
+    return share, np.clip(_smoothed(lacks, known, NEAR_EDGES), *LACKS)
 
 
 def _kept(share, trust):
