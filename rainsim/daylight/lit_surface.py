@@ -16,7 +16,6 @@ NEIGHBOURS = 9  # places about one, itself included
 # weights [voxels], and the deviation over which they may differ in the logarithm of luminance.
 TAKEN, REACH, SPREAD, ALIKE = 12, 4.0, 1.2, 0.3
 FARTHEST = 1.5  # m from the surface: haze that is farther belongs to nothing
-BLACK = np.float32(1e-3)  # linear light, below which a splat that is brightened has this
 DIM = 0.004  # linear light below which noise decides
 
 

@@ -22,7 +22,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rainsim.constants import SH_0
-from rainsim.daylight.fitted_gain import fitted
 from rainsim.daylight.light import (
     about_normal,
     around_of,
@@ -33,7 +32,7 @@ from rainsim.daylight.light import (
     sunlit,
     turn_to_the_open,
 )
-from rainsim.daylight.lit_surface import BLACK, carried, luminance, surface_of
+from rainsim.daylight.lit_surface import carried, luminance, surface_of
 from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_shade
 from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, of_one_paint, places_of, seen_from
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
@@ -42,8 +41,8 @@ from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
 from rainsim.surface.fuse import VOXEL
-from rainsim.surface.ground_shade import gain_at, hidden_at
-from rainsim.surface.views import FEWEST_CAMERAS, cameras_of
+from rainsim.surface.ground_shade import hidden_at, lifted
+from rainsim.surface.views import FEWEST_CAMERAS
 from rainsim.surface.wall_parts import laid_on_walls
 
 SIDE = 1024  # px of the maps of the sky's light
@@ -95,7 +94,9 @@ class Relight:
     sun: np.ndarray | None = None  # (3,), unit, ground frame, to the sun that was found or given
     ratio: tuple | None = None  # see `SunRatio`
     confidence: float = 0.0
-    ground_only: bool = False  # only shade on the ground is lifted: walls keep theirs
+    # (n, 4), float16, where the ground alone is lifted out of the shade: each splat's linear light
+    # under an overcast sky, and how far it is of the shaded ground, see `kept_light.under_clouds`.
+    ground: np.ndarray | None = None
 
 
 def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
@@ -114,23 +115,22 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     relight = _by_casters(scene, found, sun, white)
     if relight.gain is not None or found.shade is None:
         return relight
-    return _by_ground(scene, cameras_of(scene, found.middle, found.half), found.shade)
+    return _by_ground(scene, found.shade)
 
 
-def _by_ground(scene, cameras, shade):
+def _by_ground(scene, shade):
     """Return the `Relight` that lifts the shade found in a picture of the ground."""
     position, good = _placed(scene)
-    log = np.log(np.maximum(_light_of(scene.splats, good), BLACK))
-    gain = np.ones((len(good), 3), np.float32)
-    gain[good] = gain_at(shade, position[good], log)
-    gain = fitted(scene, cameras, shade, gain).astype(np.float16)
+    light = linear(scene.splats.sh[good, 0] * np.float32(SH_0) + np.float32(0.5))
+    ground = np.zeros((len(good), 4), np.float16)
+    ground[good] = lifted(shade, position[good], np.log(np.maximum(light, DIM)))
     note = (
         f"relight: shade on {shade.area:.0%} of the ground in sight, where the sun gave "
         f"{luminance(shade.ratio[None])[0]:.1f} times the sky's light, goes as clouds cover the "
         "sky; what threw it was not captured, so that light and shade of all else stay"
     )
     facts = tuple(map(float, shade.ratio)), shade.confidence
-    return Relight(gain, note, None, *facts, ground_only=True)
+    return Relight(None, note, None, *facts, ground)
 
 
 def _by_casters(scene, found, sun, white):
@@ -205,7 +205,7 @@ def _seen(surface, solid, window):
 def _on_splats(scene, surface, gain):
     """Return the gain (n, 3), float16, of a scene's splats of that of its surface."""
     position, good = _placed(scene)
-    light = _light_of(scene.splats, good)
+    light = linear(scene.splats.sh[good, 0] * np.float32(SH_0) + np.float32(0.5))
     found, near = carried(surface, VOXEL, gain.astype(np.float32), position[good], light)
     result = np.ones((len(good), 3), np.float16)
     result[np.flatnonzero(good)[near]] = found[near]
@@ -220,11 +220,6 @@ def _placed(scene):
         for values in (position, scene.splats.sh[:, 0]):
             good &= np.isfinite(values).all(axis=1)
     return position, good
-
-
-def _light_of(splats, good):
-    """Return the linear light (m, 3) of the splats that are good, (n,) bool."""
-    return linear(splats.sh[good, 0] * np.float32(SH_0) + np.float32(0.5))
 
 
 def _unit(azimuth, elevation):

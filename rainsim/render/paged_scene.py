@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rainsim.constants import SH_0
-from rainsim.daylight.clouds import under_clouds
+from rainsim.daylight.kept_light import under_clouds
 from rainsim.lod.paged import Page, PagedRasterizer
 from rainsim.lod.room import room_for
 from rainsim.raster import prepare

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.daylight.clouds import covered_share, under_clouds
+from rainsim.daylight.kept_light import covered_share, under_clouds
 from rainsim.shading.diffuse import level_share, step_of, without_gloss
 from rainsim.shading.wetness import paving_dampness
 

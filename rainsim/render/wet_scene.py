@@ -98,9 +98,9 @@ class WetScene:
             self.notes.append(f"mirrors leave out {bad.sum()} splats that hardly any camera saw")
         reach = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
         self.ground = WetGround(terrain, reach)
-        # Where the ground alone is relit, sunlit walls are left, whose light is compressed.
-        self._relit = gain is not None and not relight.ground_only
-        self._sky_is_left_out = backdrop.count > 0
+        self._relit, self._sky_is_left_out = gain is not None, backdrop.count > 0
+        if relight.ground is not None:  # sunlit walls are left, so that `_relit` is not true
+            gain = relight.ground[backdrop.kept]
         where = terrain, reach, self.ground.grass
         present = PresentSplats(self.scene, gain, diffuse, *where)
         paged = None

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from rainsim.jit import get_num_threads
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
-from rainsim.surface.ground_picture import ground_of, place_on
+from rainsim.surface.ground_picture import place_on
 
 EDGE = 3  # cells from the middle of an edge to the places on both sides
 SMOOTH = 1.2  # cells: deviation of the weights of a place's colour
@@ -45,7 +45,8 @@ BAND = 3  # cells about the edge of a shadow in which the share is that of the b
 FLECK, PAINT = 5.0, 0.25  # cells about one in the shade, and share that paint may make of a fleck
 FULL = 0.85  # hidden share by a pixel's own light, from which on all of it counts as shaded
 DARKER = 0.3  # logarithm, by which paint may be darker than what is around it
-BRIGHTER = 0.4  # logarithm, by which paint may be brighter than what is around it
+WHOLLY = 4.0  # one over the hidden share from which on a splat is all of the shaded ground
+VARIES = 0.35  # logarithm, by which a splat may differ from the picture of the ground
 # Logarithms off the step's direction, that paint may make of a splat and of a pixel.
 PAINT_OFF, OTHER_PAINT = 0.4, 0.3
 LOWEST = 4.0  # of what may be off the ground's level: splats as far below it are still its own
@@ -65,6 +66,7 @@ class GroundShade(NamedTuple):
     lit: np.ndarray  # (rows, columns, 3), logarithm of light without shade, around a cell
     band: np.ndarray  # bool, about the edges of shadows
     step: np.ndarray  # (rows, columns, 3), logarithm of lit over shaded light
+    log: np.ndarray  # (rows, columns, 3) as in `GroundPicture`, as the next
     seen: np.ndarray  # bool; this and the next as in `GroundPicture`
     low: np.ndarray
     ratio: np.ndarray  # (3,) of the sun on level ground over the sky
@@ -101,7 +103,7 @@ def ground_shade(picture):
     share, lit, step = (v[inner].astype(np.float32) for v in (_kept(share, trust), lit, step))
     area = float(trust.sum() / np.count_nonzero(seen))
     return GroundShade(
-        share, lit, band[inner], step, picture.seen, picture.low, np.expm1(ratio),
+        share, lit, band[inner], step, picture.log, picture.seen, picture.low, np.expm1(ratio),
         picture.cell, picture.reach, confidence, area,
     )  # fmt: skip
 
@@ -126,40 +128,30 @@ def hidden_at(shade, position, log):
     share = at(shade.share)
     own, off = _hidden(log, lit, step)
     by_own = at(shade.band.astype(np.float32)) * (off < PAINT_OFF)
-    return share + by_own * (np.clip(own, 0, 1) - share), ground, step, lit
+    return share + by_own * (np.clip(own, 0, 1) - share), ground, by_own, step, lit
 
 
-def gain_at(shade, position, log):
-    """Return the gain (n, 3) on the linear light of splats, that takes the ground out of the shade.
+def lifted(shade, position, log):
+    """Return the linear light of splats out of the shade on the ground, and how far they lie in it.
 
-    By their places alone, and their light: see `hidden_at`.
+    (n, 4): three channels, and 0 to 1. At the edges of shadows `hidden_at` says it. Within them the
+    picture of the ground, lifted, does: single splats make shade as dark ones that hide bright
+    ones, of any tint. By what a splat is brighter or darker than the picture it stays so, but for
+    more than paint may differ.
     """
-    share, ground, step, lit = hidden_at(shade, position, log)
-    gain = step - np.log1p((1 - share)[:, None] * np.expm1(step))
-    # Dark splats make shade by hiding sunlit ones behind them: they are lifted to what is around,
-    # and nothing becomes much brighter than the ground in the sun about it.
-    gain += (share > FULL)[:, None] * np.maximum(lit - DARKER - log - gain, 0)
-    gain = np.minimum(gain, np.maximum(lit + BRIGHTER - log, 0))
-    return 1 + ground[:, None] * np.expm1(gain)
+    share, ground, by_own, step, _ = hidden_at(shade, position, log)
+    edge = log + step - np.log1p((1 - share)[:, None] * np.expm1(step))
+    place = place_on(shade, position).T
+    maps = [*np.moveaxis(shade.log, 2, 0), *np.moveaxis(shade.log + step_of(shade), 2, 0)]
+    maps = np.stack([ndimage.map_coordinates(v, place, order=1, mode="nearest") for v in maps], -1)
+    own = np.clip((log - maps[:, :3]) @ LUMINANCE_WEIGHTS, -VARIES, VARIES)
+    light = edge + (1 - by_own)[:, None] * (maps[:, 3:] + own[:, None] - edge)
+    return np.column_stack([np.exp(light), ground * np.clip(WHOLLY * share, 0, 1)])
 
 
-def gain_of_pixels(shade, view):
-    """Return the logarithms of gain (height, width, 3) that take a view's ground out of the shade.
-
-    A pixel's own light tells how much of the sun is hidden from it, if sun and shade may make it.
-    """
-    place, ground, log = ground_of(view, 1, shade.reach)[:3]
-    cell = np.rint(place_on(shade, place)).astype(int)
-    inside = ((cell >= 0) & (cell < shade.share.shape)).all(axis=1)
-    cell = tuple(np.where(inside[:, None], cell, 0).T)
-    own, off = _hidden(log, shade.lit[cell], shade.step[cell])
-    near = ndimage.grey_dilation(shade.share, size=3)[cell] * inside
-    near *= np.clip(2 - off / OTHER_PAINT, 0, 1)
-    hidden = np.minimum(near, np.clip(own / FULL, 0, 1))
-    step = shade.step[cell]
-    gain = np.zeros((*view.depth.shape, 3), np.float32)
-    gain[ground] = step - np.log1p((1 - hidden)[:, None] * np.expm1(step))
-    return gain
+def step_of(shade):
+    """Return the logarithms of gain (rows, columns, 3) that take the picture out of the shade."""
+    return shade.step - np.log1p((1 - shade.share)[..., None] * np.expm1(shade.step))
 
 
 def _hidden(log, lit, step):
