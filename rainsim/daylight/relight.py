@@ -123,7 +123,8 @@ def _by_ground(scene, shade):
     position, good = _placed(scene)
     light = linear(scene.splats.sh[good, 0] * np.float32(SH_0) + np.float32(0.5))
     ground = np.zeros((len(good), 4), np.float16)
-    ground[good] = lifted(shade, position[good], np.log(np.maximum(light, DIM)))
+    size = scene.splats.scale[good].max(axis=1) * scene.ground_frame.meters_per_unit
+    ground[good] = lifted(shade, position[good], np.log(np.maximum(light, DIM)), size)
     note = (
         f"relight: shade on {shade.area:.0%} of the ground in sight, where the sun gave "
         f"{luminance(shade.ratio[None])[0]:.1f} times the sky's light, goes as clouds cover the "

@@ -45,15 +45,17 @@ BAND = 3  # cells about the edge of a shadow in which the share is that of the b
 FLECK, PAINT = 5.0, 0.25  # cells about one in the shade, and share that paint may make of a fleck
 FULL = 0.85  # hidden share by a pixel's own light, from which on all of it counts as shaded
 DARKER = 0.3  # logarithm, by which paint may be darker than what is around it
+LARGEST = 12.0  # cells, that a splat of the ground deviates at most
+NEAR_SUN = 20.0  # cells from sunlit ground, whose light is the lit one then
 WHOLLY = 4.0  # one over the hidden share from which on a splat is all of the shaded ground
-VARIES = 0.35  # logarithm, by which a splat may differ from the picture of the ground
+VARIES = 0.15  # logarithm, by which a splat may differ from the picture of the ground
 # Logarithms off the step's direction, that paint may make of a splat and of a pixel.
 PAINT_OFF, OTHER_PAINT = 0.4, 0.3
 LOWEST = 4.0  # of what may be off the ground's level: splats as far below it are still its own
 SHARE_OF_WIDTH = 1.0, 1e-3  # of a mean, see `_smoothed`
 # Paints are the same within these logarithms of the ratio of two channels and of luminance, and if
 # they lie within so many cells.
-SAME_TINT, SAME_LIGHT, PAINT_REACH = 0.2, 1.0, 150.0
+SAME_TINT, SAME_LIGHT, PAINT_REACH = 0.2, 3.0, 150.0
 ALIKE_PLACES, LACKS = 8, (-0.1, 0.5)  # of one paint; logarithms, see `_known_paint`
 SURE = 0.5  # confidence from which on shade is believed
 MARGIN = 2 * EDGE + 2  # cells around the picture, so that no neighbour is beyond it
@@ -131,13 +133,14 @@ def hidden_at(shade, position, log):
     return share + by_own * (np.clip(own, 0, 1) - share), ground, by_own, step, lit
 
 
-def lifted(shade, position, log):
+def lifted(shade, position, log, size):
     """Return the linear light of splats out of the shade on the ground, and how far they lie in it.
 
-    (n, 4): three channels, and 0 to 1. At the edges of shadows `hidden_at` says it. Within them the
+    (n, 4): three channels, and 0 to 1. `size` (n,) [m] are the splats' largest deviations: haze of
+    many cells keeps its light. At the edges of shadows `hidden_at` says the light. Within them the
     picture of the ground, lifted, does: single splats make shade as dark ones that hide bright
     ones, of any tint. By what a splat is brighter or darker than the picture it stays so, but for
-    more than paint may differ.
+    more than VARIES.
     """
     share, ground, by_own, step, _ = hidden_at(shade, position, log)
     edge = log + step - np.log1p((1 - share)[:, None] * np.expm1(step))
@@ -146,7 +149,8 @@ def lifted(shade, position, log):
     maps = np.stack([ndimage.map_coordinates(v, place, order=1, mode="nearest") for v in maps], -1)
     own = np.clip((log - maps[:, :3]) @ LUMINANCE_WEIGHTS, -VARIES, VARIES)
     light = edge + (1 - by_own)[:, None] * (maps[:, 3:] + own[:, None] - edge)
-    return np.column_stack([np.exp(light), ground * np.clip(WHOLLY * share, 0, 1)])
+    within = ground * np.clip(WHOLLY * share, 0, 1) * (size < LARGEST * shade.cell)
+    return np.column_stack([np.exp(light), within])
 
 
 def step_of(shade):
@@ -375,6 +379,9 @@ def _shares(log, seen, shade, step):
     outside = ndimage.binary_erosion(~shade | ~seen, iterations=BAND)
     sure = seen & (inside | outside)
     lit = _smoothed(log + shade[..., None] * step, sure, 1.5 * BAND, 6 * BAND)
+    sunny = sure & ~shade
+    near = ndimage.distance_transform_edt(~sunny) < NEAR_SUN
+    lit[near] = _smoothed(log, sunny, 1.5 * BAND, 6 * BAND)[near]
     hidden, _ = _hidden(log, lit, step)
     # Flecks of sun within the shade: what is far brighter than the shade around.
     fleck = np.zeros(log.shape[:2])
