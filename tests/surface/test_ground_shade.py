@@ -6,11 +6,13 @@ import pytest
 import factories
 import made_ground
 from made_ground import LAWN, PAVING, SAND, SUN_OVER_SKY
+from rainsim.constants import SH_0
 from rainsim.daylight import relight
-from rainsim.daylight.ground_shade import ground_shade, lift
-from rainsim.numerics.srgb import display
+from rainsim.daylight.kept_light import under_clouds
+from rainsim.numerics.srgb import display, linear
 from rainsim.scene.types import GroundFrame, Scene
 from rainsim.surface.ground_picture import ground_picture
+from rainsim.surface.ground_shade import ground_shade, hidden_at, lifted
 
 OFF = np.random.default_rng(5).normal(0, 0.12, (8, 3)).clip(-0.25, 0.25)
 
@@ -26,24 +28,30 @@ def cells(picture):
     return np.column_stack([place, 0 * row])
 
 
+def lifted_light(found, place, log):
+    """Return the light (n, 3) of small splats at places once it is lifted."""
+    light = lifted(found, place, log, np.full(len(place), 0.01))
+    return np.exp(log) + light[:, 3:] * (light[:, :3] - np.exp(log))
+
+
 @pytest.fixture(scope="module")
 def shadow():
     """A picture with two bars of shade over two paints, and the shade that is found."""
     picture = picture_of()
-    return picture, ground_shade(picture, 0.5)
+    return picture, ground_shade(picture)
 
 
 def test_shade_is_found_with_its_ratio(shadow):
     _, found = shadow
     assert found.confidence > 0.9
-    np.testing.assert_allclose(np.log1p(found.ratio), np.log1p(SUN_OVER_SKY), atol=0.12)
+    np.testing.assert_allclose(np.log1p(found.ratio), np.log1p(SUN_OVER_SKY), atol=0.2)
 
 
 def test_one_paint_is_as_light_on_both_sides(shadow):
     picture, found = shadow
     place = cells(picture)
     log = picture.log[picture.seen]
-    after = log + lift(picture, found, place, log)
+    after = np.log(lifted_light(found, place, log))
     hidden, lawn = made_ground.shaded(place), place[:, 1] > 0.1
     for paint in (lawn, place[:, 1] < -0.1):
         sides = [paint & (hidden > 0.98), paint & (hidden < 0.02)]
@@ -58,48 +66,63 @@ def test_one_paint_is_as_light_on_both_sides(shadow):
 
 
 def test_exposures_change_nothing(shadow):
-    found = ground_shade(picture_of(OFF), 0.5)
+    found = ground_shade(picture_of(OFF))
     np.testing.assert_allclose(np.log1p(found.ratio), np.log1p(shadow[1].ratio), atol=0.1)
     assert abs(found.area - shadow[1].area) < 0.05
 
 
 @pytest.mark.parametrize("paints", [(PAVING, LAWN), (SAND, PAVING * 0.4), (LAWN, SAND, PAVING)])
 def test_paints_without_sun_are_left(paints):
-    assert ground_shade(picture_of(paints=paints, shade=None), 0.5) is None
-    assert ground_shade(picture_of(OFF, paints=paints, shade=None), 0.5) is None
+    assert ground_shade(picture_of(paints=paints, shade=None)) is None
+    assert ground_shade(picture_of(OFF, paints=paints, shade=None)) is None
 
 
 def test_a_border_of_paints_that_looks_like_shade_is_left(shadow):
     """Paving as much darker and bluer as the shade is: one paint alone never tells."""
     darker = PAVING / (1 + SUN_OVER_SKY)
-    assert ground_shade(picture_of(paints=(PAVING, darker), shade=None), 0.5) is None
+    assert ground_shade(picture_of(paints=(PAVING, darker), shade=None)) is None
     assert shadow[1] is not None
 
 
 def test_a_dark_paint_within_the_sun_keeps_its_colour(shadow):
     def light(place):
-        spot = np.hypot(place[..., 0] - 0.2, place[..., 1] + 1.5) < 0.35
+        spot = np.hypot(place[..., 0] - 0.6, place[..., 1] + 1.5) < 0.3
         return made_ground.light_of(place) * np.where(spot[..., None], [0.25, 0.2, 0.15], 1)
 
     picture = ground_picture(made_ground.views(light))
     place = cells(picture)
-    found = ground_shade(picture, 0.5)
-    inside = np.hypot(place[:, 0] - 0.2, place[:, 1] + 1.5) < 0.25
-    gain = lift(picture, found, place, picture.log[picture.seen])
+    found = ground_shade(picture)
+    inside = np.hypot(place[:, 0] - 0.6, place[:, 1] + 1.5) < 0.2
+    log = picture.log[picture.seen]
+    gain = np.log(lifted_light(found, place, log)) - log
     assert np.abs(gain[inside]).max() < 0.1
-    assert gain.max() > 1.0
+    assert np.percentile(gain, 95) > 1.0
 
 
-def test_what_stands_and_what_is_lit_keeps_its_light(shadow):
-    picture, found = shadow
+def test_splats_of_the_shaded_ground_alone_are_lifted(shadow):
+    _, found = shadow
     dark, lit = (-1.0, 0.5), (2.2, 0.5)
-    place = np.array([(*dark, 0.0), (*dark, 0.6), (*lit, 0.0), (9.0, 9.0, 0.0), (*dark, -0.2)])
+    place = np.array([(*dark, 0), (*dark, -0.1), (*dark, 0.6), (*lit, 0), (9, 9, 0), (*dark, 0)])
     light = made_ground.light_of(place)
-    splats = factories.splats(
-        place, opacity=np.array([0.9, 0.9, 0.9, 0.9, 0.9]), color=display(light)
-    )
+    scale = np.array([0.02, 0.02, 0.02, 0.02, 0.02, 2.0])[:, None]  # the last is haze
+    splats = factories.splats(place, scale=scale, color=display(light))
     scene = Scene("made", splats, (), GroundFrame(np.eye(3), 1.0, np.zeros(3)), None, "0" * 64, ())
-    result = relight._by_ground(scene, picture, found)
-    assert result.ground_only and "shade on" in result.note
-    np.testing.assert_allclose(result.gain[[1, 2, 3]], 1, atol=0.02)
-    np.testing.assert_allclose(result.gain[[0, 4]], [1 + SUN_OVER_SKY] * 2, rtol=0.15)
+    result = relight._by_ground(scene, found)
+    assert result.gain is None and "shade on" in result.note
+
+    def gain(share):
+        splats = under_clouds(scene.splats, result.ground, share)
+        return linear(splats.sh[:, 0] * np.float32(SH_0) + np.float32(0.5)) / light
+
+    np.testing.assert_allclose(gain(1.0)[2:], 1, atol=0.02)
+    np.testing.assert_allclose(gain(1.0)[:2], [1 + SUN_OVER_SKY] * 2, rtol=0.2)
+    np.testing.assert_allclose(gain(0.5)[:2], [1 + SUN_OVER_SKY / 2] * 2, rtol=0.2)
+    assert under_clouds(scene.splats, result.ground, 0.0) is scene.splats
+
+
+def test_what_stands_is_not_of_the_ground(shadow):
+    _, found = shadow
+    place = np.array([(-1.0, 0.5, 0.0), (-1.0, 0.5, 0.5), (9.0, 9.0, 0.0)])
+    hidden, ground = hidden_at(found, place, np.log(made_ground.light_of(place)))[:2]
+    np.testing.assert_allclose(ground, [1, 0, 0], atol=0.01)
+    assert hidden[0] > 0.9
