@@ -55,7 +55,7 @@ def assumed_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
         Roughly up; otherwise the flattest wide surface with most of the capture above it counts as
         level. Without such a surface it is the mean image-up of the cameras, or -y.
     meters_per_unit : float, optional
-        Otherwise the cameras stand 1.5 m above the ground, or the ground is 8 m wide.
+        Otherwise the cameras stand 1.8 m above the ground, or the ground is 8 m wide.
 
     Returns
     -------

@@ -92,6 +92,9 @@ def ground_below(splats, cameras, up, seed):
         height = float(np.median(plane.height(eyes[placed])))
         own = below.support(height - plane.height(points), height)
         if level is None or plane.confidence >= SURE_PLANE:
+            if level is not None and angle_between(plane.normal, hint) > 3 * level.deviation:
+                # The ground slopes, or what a few cameras look down on does.
+                plane = _level_plane(hint, eyes[placed], own)
             return plane, centre, placed, notes
     best = below.best(reach, height)
     if own is not None and best.share <= CLEARLY * own.share:

@@ -65,7 +65,8 @@ def find_dampness(
                     alpha, look,
                 )  # fmt: skip
                 around = turned(turn, n0, n1, n2)
-                point = with_normal(point, wetted_normal(r, g, b, above, point, around))
+                lean = wetted_normal(r, g, b, above, point, around, ground.thickest_layer)
+                point = with_normal(point, lean)
             u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
             level = ground_share(above, point.nz, layer_at(ground, u, v))
             wet = wet_state(point, clearance, above, level, ground, rain)

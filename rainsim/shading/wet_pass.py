@@ -23,6 +23,7 @@ from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import (
     AROUND,
+    EACH,
     NO_AROUND,
     SAMPLES,
     STEPS,
@@ -98,14 +99,15 @@ class DryRays(NamedTuple):
     direction: np.ndarray  # (n, 3) float32, unit, ground frame
 
 
-def dry_picture(layers, meters_per_unit, mirrored=False):
+def dry_picture(layers, meters_per_unit, mirrored=False, layer=ZERO):
     """Return the `DryPicture` of `raster.Layers` with depths in capture units.
 
-    In mirrored ones each pixel keeps its own normal.
+    In mirrored ones each pixel keeps its own normal. The splats of poor ground fill a `layer` [m];
+    they lie as badly elsewhere, so that a wider neighbourhood counts.
     """
     return DryPicture(
         layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
-        np.float32(meters_per_unit), NO_AROUND if mirrored else AROUND,
+        np.float32(meters_per_unit), NO_AROUND if mirrored else max(AROUND, np.float32(layer)),
     )  # fmt: skip
 
 
@@ -204,7 +206,7 @@ def grade_row(
         locate(view, b, left, n, ground, s)
         find_heights(ground, n, s, glossy, corner)
         if dry.around > ZERO:
-            take_normals_around(dry, normals, view, row, left, n, s, glossy)
+            take_normals_around(dry, normals, view, row, left, n, ground.thickest_layer, s, glossy)
         find_levels(ground, n, s)
         find_wetness(ground, rain, n, s)
         color_pixels(look, mirror_apart, n, s)
@@ -284,7 +286,7 @@ def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
     point = SurfacePoint(
         eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
     )
-    if ground.scatter.shape[0] > 1 and e > ZERO:
+    if ground.layer.shape[0] > 1 and e > ZERO:
         point, d = on_bed(point, e, d, x, y, z, ground)
         cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
     return x * inv, y * inv, z * inv, d, d * length, cosine, point
@@ -322,9 +324,10 @@ def find_heights(ground, n, s, cell, corner):
     """Find the height over the ground of each pixel's surface: `heights_of` in vectors."""
     bed, origin, spacing = ground.bed, ground.origin, ground.spacing
     corner_of_map = origin[0], origin[1]
+    everywhere = ground.thickest_layer > ZERO
     for i in range(n):
         u, v = map_place(s[X + i], s[Y + i], corner_of_map, spacing)
-        s[HEIGHT + i] = ONE if is_on_map(u, v, bed) else ZERO
+        s[HEIGHT + i] = ONE if everywhere | is_on_map(u, v, bed) else ZERO
         s[ACROSS + i], s[DOWN + i] = u, v
     interpolate(bed, n, s, ACROSS, DOWN, cell, corner)
     for i in range(n):
@@ -334,7 +337,7 @@ def find_heights(ground, n, s, cell, corner):
 
 
 @inlined_function
-def take_normals_around(dry, normals, view, row, left, n, s, step):
+def take_normals_around(dry, normals, view, row, left, n, layer, s, step):
     """Replace the normals of pixels that show no ground by those of their neighbourhoods.
 
     In vectors what `smooth_normal` and `wetted_normal` do. `step` has room for a number a pixel.
@@ -356,10 +359,12 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
             add_around(dry.depth, normals, row, left, n, k, s)
             for i in range(n):
                 if step[i] == np.uint32(1 << k):
-                    around = turned(turn, s[SMOOTH + i], s[ACROSS + i], s[DOWN + i])
+                    around = turned(
+                        turn, EACH * s[SMOOTH + i], EACH * s[ACROSS + i], EACH * s[DOWN + i]
+                    )
                     a, b, c = wetted_normal(
                         s[RED + i], s[GREEN + i], s[BLUE + i], s[HEIGHT + i],
-                        surface_point(s, i), around,
+                        surface_point(s, i), around, layer,
                     )  # fmt: skip
                     s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = a, b, c
                     s[COSINE + i] = -(a * s[VIEW_X + i] + b * s[VIEW_Y + i] + c * s[VIEW_Z + i])
@@ -402,7 +407,7 @@ def find_levels(ground, n, s):
     """Find how surely each pixel shows the ground."""
     for i in range(n):
         s[LEVEL + i] = ZERO
-    if ground.scatter.shape[0] > 1:
+    if ground.layer.shape[0] > 1:
         for i in range(n):
             u, v = map_place(s[X + i], s[Y + i], ground.origin, ground.spacing)
             s[LEVEL + i] = layer_at(ground, u, v)

@@ -53,13 +53,17 @@ GRAZING = np.float32(0.02)  # least cosine that Fresnel's factor is taken at
 # The same of leaves: one on edge fills no pixel, and the normal there is that of others. By eye.
 LEAF_GRAZING = np.float32(0.5)
 
+UNLIKE, ALIKE = (
+    np.float32(0.4),
+    np.float32(0.8),
+)  # length of the mean of noisy normals; of fair ones
 FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level
 LEANS = np.float32(0.1)  # the same below which a surface counts as upright
 # Heights over the bed [m]: up to the first all is ground, from the second on what is upright is
 # not; up to the third what is level is ground, from the fourth on nothing is.
 FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
 LAYER_END = np.float32(1.5)  # the same over the thickness of a layer of splats about a poor bed
-NO_SCATTER = np.empty((0, 0), np.float32)  # of a bed that is known
+NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
 WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
 TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
 SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
@@ -77,9 +81,9 @@ class GroundMaps(NamedTuple):
     spacing: np.float32  # m
     bodies: np.ndarray = NO_BODIES  # (ny, nx, 3) or (0, 0, 3) uint8, see `bodies.body_map`
     # How far from a poorly known bed the splats lie that show it, float32 [m], (ny, nx), less than
-    # two rows where it is known; and the same beyond the map. See `on_bed`.
-    scatter: np.ndarray = NO_SCATTER
-    layer: np.float32 = ZERO
+    # two rows where it is known; and the most of it. See `on_bed`.
+    layer: np.ndarray = NO_LAYER
+    thickest_layer: np.float32 = ZERO
 
 
 class SkyMaps(NamedTuple):
@@ -177,6 +181,14 @@ def wet_channel(value, amount, porosity, look):
 
 
 @inlined_function
+def within(ground, u, v):
+    """Return the column and row of the map that are nearest to u, v; 0 for NaN."""
+    # In this order NaN gives 0.
+    u = min(np.float32(ground.wetness.shape[1]) - TO_BORDER, max(ZERO, u))
+    return u, min(np.float32(ground.wetness.shape[0]) - TO_BORDER, max(ZERO, v))
+
+
+@inlined_function
 def on_ground(ground, u, v):
     """Return the `Wetness` of the ground at column u and row v, which lie within the map."""
     i, j = int(u), int(v)
@@ -195,11 +207,12 @@ def body_of(point, clearance, ground):
     if ground.bodies.shape[0] < 2 or not clearance < TALLER:
         return ZERO
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+    u, v = within(ground, u, v)
     return body_share(ground.bodies, u, v, clearance, point.nz)
 
 
 @inlined_function
-def wetted_normal(r, g, b, height, point, around):
+def wetted_normal(r, g, b, height, point, around, layer):
     """Return the normal by which a surface gets wet and mirrors; see `smooth_normals`.
 
     Parameters
@@ -211,13 +224,20 @@ def wetted_normal(r, g, b, height, point, around):
     point : SurfacePoint
         With the pixel's own normal.
     around : tuple of 3 float32
-        That of its neighbourhood, of any length.
+        Mean of its neighbourhood, the shorter the more normals differ there.
+    layer : float32 [m]
+        Thickness of the splats about a bed that is poorly known, 0 elsewhere.
     """
     x, y, z = around
     square = x * x + y * y + z * z
-    inv = ONE / math.sqrt(max(square, np.float32(1e-12)))
+    length = math.sqrt(max(square, np.float32(1e-12)))
+    inv = ONE / length
     x, y, z = x * inv, y * inv, z * inv
     leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
+    if layer > ZERO:
+        # Normals are noise there: a wall is upright, leaves face any way.
+        sure = smoothstep(UNLIKE, ALIKE, length)
+        z, leaf = sure * z + (ONE - sure) * leaf * HALF, ZERO
     leaf = max(leaf, ground_share(height, max(point.nz, z), ZERO))
     leaf = leaf if square > np.float32(1e-6) else ONE
     x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
@@ -249,9 +269,10 @@ def ground_share(height, upness, layer):
 @inlined_function
 def layer_at(ground, u, v):
     """Return the thickness of the splats about the bed at column u and row v [m]."""
-    if ground.scatter.shape[0] < 2:
+    if ground.layer.shape[0] < 2:
         return ZERO
-    return bilinear(ground.scatter, u, v) if is_on_map(u, v, ground.bed) else ground.layer
+    u, v = within(ground, u, v)
+    return bilinear(ground.layer, u, v)
 
 
 @inlined_function
@@ -274,14 +295,18 @@ def on_bed(point, depth, drawn, x, y, z, ground):
     eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     layer = layer_at(ground, u, v)
-    bed = bilinear(ground.bed, u, v) if is_on_map(u, v, ground.bed) else ZERO
+    u, v = within(ground, u, v)
+    bed = bilinear(ground.bed, u, v)
     share = ONE - smoothstep(layer, LAYER_END * layer, point.z - bed)
-    if not (layer > ZERO and share > ZERO and z < ZERO and eye_z > bed):
+    share = share if layer > ZERO else ZERO
+    if point.z < bed:  # nothing lies below the ground, whatever stands there
+        share = ONE
+    if not (share > ZERO and z < ZERO and eye_z > bed):
         return point, drawn
     to = (bed - eye_z) / z
     u, v = map_place(eye_x + to * x, eye_y + to * y, ground.origin, ground.spacing)
-    if is_on_map(u, v, ground.bed):
-        to = (bilinear(ground.bed, u, v) - eye_z) / z
+    u, v = within(ground, u, v)
+    to = (bilinear(ground.bed, u, v) - eye_z) / z
     e = depth + share * (to - depth)
     nx, ny, nz = (ONE - share) * point.nx, (ONE - share) * point.ny, point.nz
     nz += share * (ONE - nz)
@@ -314,13 +339,17 @@ def heights_of(point, solid, ground):
     Returns
     -------
     clearance : float32 [m]
-        Height over the bed; FAR_AWAY off the map and without a surface.
+        Height over the bed; FAR_AWAY without a surface, and off the map. Poorly known ground goes
+        on beyond the map as at its border.
     height : float32 [m]
         The same, but off the map the height over the ground plane.
     """
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-    inside = is_on_map(u, v, ground.bed)
-    bed = bilinear(ground.bed, u, v) if inside & solid else ZERO
+    inside = ground.thickest_layer > ZERO or is_on_map(u, v, ground.bed)
+    bed = ZERO
+    if inside and solid:
+        u, v = within(ground, u, v)
+        bed = bilinear(ground.bed, u, v)
     return heights_over(bed, point.z, inside, solid)
 
 
@@ -328,12 +357,11 @@ def heights_of(point, solid, ground):
 def wet_state(point, clearance, height, level, ground, rain):
     """Return how wet a surface is that is ground by a share `level`.
 
-    The heights are those of `heights_of`. Beyond the map ground is known to be as at its border
-    only where the bed is the ground plane.
+    The heights are those of `heights_of`.
     """
     if not height < FAR_AWAY:
         return Wetness(ZERO, ZERO, ZERO, ZERO)
-    mapped = level if clearance < FAR_AWAY or ground.layer > ZERO else ZERO
+    mapped = level if clearance < FAR_AWAY else ZERO
     off = Wetness(ZERO, ZERO, ZERO, ZERO)
     if mapped < ONE:
         body = body_of(point, clearance, ground)
@@ -347,13 +375,6 @@ def wet_state(point, clearance, height, level, ground, rain):
         mapped * on.lawn + rest * off.lawn, mapped * on.dampness + rest * off.dampness,
         mapped * on.film + rest * off.film, mapped * on.porosity + rest * off.porosity,
     )  # fmt: skip
-
-
-@inlined_function
-def within(ground, u, v):
-    """Return the column and row of the map that are nearest to u, v."""
-    u = min(max(u, ZERO), np.float32(ground.wetness.shape[1]) - TO_BORDER)
-    return u, min(max(v, ZERO), np.float32(ground.wetness.shape[0]) - TO_BORDER)
 
 
 @inlined_function
@@ -501,7 +522,8 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     x, y, z = ray
     clearance, height = heights_of(point, alpha >= SURFACE_ALPHA, ground)
     r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
-    point = with_normal(point, wetted_normal(r, g, b, height, point, around))
+    normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
+    point = with_normal(point, normal)
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     level = ground_share(height, point.nz, layer_at(ground, u, v))
     wet = wet_state(point, clearance, height, level, ground, rain)

@@ -84,7 +84,7 @@ def extract_terrain(scene, config, mask=None, tell=None):
                 maps[name][core] = values[inner]
     source, bed, top, underside = (maps[n] for n in ("source", "bed", "top", "underside"))
     seen = np.mean(source != UNKNOWN)
-    if seen < LEAST_GROUND and not (cloud.scatter and seen):
+    if seen < LEAST_GROUND and (cloud.poor is None or not seen):
         raise GroundError(
             f"only {seen:.1%} of the map of {grid.size[0]:g} x {grid.size[1]:g} m shows "
             f"ground within {SLAB:g} m of the ground plane, from {len(scene.splats):,} splats; "
@@ -97,9 +97,13 @@ def extract_terrain(scene, config, mask=None, tell=None):
         stands = filled & (top > bed + water + OCCLUDER_HEIGHT)
         np.copyto(top, bed, where=filled & ~stands)
         np.copyto(underside, bed, where=filled & (underside < bed + water + GAP_HEIGHT))
-    terrain = Terrain(grid, **maps, water=water, scatter=cloud.scatter)
+    terrain = Terrain(grid, **maps, water=water)
+    tops = NO_TOPS
+    if cloud.poor is None:
+        tops = find_tops(terrain, scene)
+    else:
+        terrain = replace(terrain, layer=cloud.poor.layer_map(grid, top > bed))
     removed = int(np.count_nonzero(left_out))
-    tops = NO_TOPS if cloud.scatter else find_tops(terrain, scene)
     step()
     notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes, *note_of(tops))
     return replace(terrain, notes=notes, tops=tops)
@@ -214,9 +218,9 @@ def _piece(scene, cloud, piece, mask, step):
     ground = cloud.look(near, grid)
     step()
     off = np.zeros_like(near)
-    if cloud.scatter:
+    if cloud.poor is not None:
         step()
-        bed, source, noise, color, green = assumed_bed.bed_of(ground, grid)
+        bed, source, noise, color, green = cloud.poor.bed(ground, grid)
     else:
         if (ground.alpha > MIN_SEEN_ALPHA).any():
             off = _floaters(cloud, ground, grid) & near
@@ -227,9 +231,9 @@ def _piece(scene, cloud, piece, mask, step):
         below = cloud.look(kept, grid, from_below=True)
         bed, source, noise, color, green = _bed(ground, below, grid, cloud.level, cloud.sweep)
     step()
-    if cloud.scatter:
+    if cloud.poor is not None:
         step()
-        top, underside = assumed_bed.cover(cloud.places, grid, bed, cloud.scatter, cloud.top)
+        top, underside = cloud.poor.cover(cloud.places, grid, bed, cloud.top)
     else:
         upper = cloud.look(cloud.below_ceiling & over, grid)
         step()
@@ -242,7 +246,7 @@ def _piece(scene, cloud, piece, mask, step):
         classes = np.where(np.asarray(mask) >= 0, mask, classes).astype(np.uint8)
     bed = bedding.lower_rim(bed, classes == HARD, classes == GRASS, grid.spacing)
     # The soil under grass lies lower; what stands in the grass stands on it.
-    soil = bed if cloud.scatter else cloud.soil(bed, classes, grid)
+    soil = bed if cloud.poor is not None else cloud.soil(bed, classes, grid)
     lowered = soil < bed
     step()
     return {
@@ -267,10 +271,10 @@ def _report(terrain, removed, mask):
         f"ground measured {shares[0]:.0%}, inferred {shares[1]:.0%}, unknown {shares[2]:.0%}; "
         f"noise of the paving {terrain.hard_noise * 1e3:.2f} mm"
     )
-    if terrain.scatter:
+    if terrain.layer.size:
         yield (
-            f"PUDDLES ARE ASSUMED: the splats of the ground lie up to {terrain.scatter:.2g} m off "
-            "it, so its bed is a plane with the unevenness of an average road (ISO 8608, class C)"
+            f"PUDDLES ARE ASSUMED: the splats of the ground lie up to {terrain.layer.max():.2g} m "
+            "off it, so its bed is even but for the roughness of an average road (ISO 8608, C)"
         )
     names = class_table().names
     counted = [(np.mean(classes == code), name) for code, name in enumerate(names)]
@@ -321,11 +325,13 @@ class _Cloud:
             start = _start_radius(scene, grid)
             self.level, share = follow_ground(self.position, self.cover, grid, start)
         self.above = self.position[:, 2] - self.level(self.position[:, 0], self.position[:, 1])
-        # Half the thickness of the layer of splats that show poor ground, 0 where it is known.
-        self.scatter = 0.0 if level is not None else self._scatter(_camera_height(scene))
-        self.slab = max(SLAB, self.scatter)
-        if self.scatter:
-            self.level, self.above = _plane, self.position[:, 2]
+        self.poor = None
+        if level is None:
+            self.poor = assumed_bed.PoorGround.of(scene, self.above, self.position, self.cover)
+        self.slab = SLAB
+        if self.poor is not None:
+            self.level, self.slab = self.poor.level, max(SLAB, self.poor.layer)
+            self.above = self.position[:, 2] - self.level(*self.position[:, :2].T)
         solid = self.cover > 0
         self.near_bed = (np.abs(self.above) < self.slab) & solid
         ceiling = _ceiling(scene)
@@ -341,7 +347,7 @@ class _Cloud:
         # Generated scenes were not photographed; along a drive pictures take too long.
         photographed = scene.source is not None and scene.cameras and scene.pages is None
         found = kept_surface(scene) if photographed else None
-        if photographed and not self.scatter:
+        if photographed and self.poor is None:
             self.sweep = ground_sweep(scene, found)
         self.places = self.position if found is None else found.surface.position
         self.notes = ()
@@ -350,10 +356,6 @@ class _Cloud:
                 f"the ground rises {level.max() - level.min():.2f} m within the map and was "
                 f"followed on {share:.0%} of it",
             )
-
-    def _scatter(self, height):
-        scatter = assumed_bed.scatter_of(self.above, self.position, self.cover, height)
-        return min(assumed_bed.LAYER * scatter, assumed_bed.WINDOW * height)
 
     def look(self, which, grid, from_below=False):
         """Return what the splats of the mask `which` show on a grid from above, or from below."""
@@ -396,17 +398,6 @@ def _start_radius(scene, grid):
         return max(grid.size) / 4
     foot = np.array([scene.ground_frame.to_ground(c.position)[:2] for c in scene.cameras])
     return float(max(1.0, np.median(np.linalg.norm(foot - foot.mean(axis=0), axis=1))))
-
-
-def _camera_height(scene):
-    """Return the median height of the cameras over the ground plane [m], or one that is assumed."""
-    heights = [scene.ground_frame.to_ground(camera.position)[2] for camera in scene.cameras]
-    return max(float(np.median(heights)), 0.1) if heights else assumed_bed.WITHOUT_CAMERAS
-
-
-def _plane(x, y):
-    """Return the height of the ground plane [m] at arrays of points."""
-    return np.zeros(np.broadcast(x, y).shape)
 
 
 def _ceiling(scene):

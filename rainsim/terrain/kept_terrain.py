@@ -48,11 +48,13 @@ def _packed(terrain):
     grid = terrain.grid
     facts = {
         "shape": list(map(int, grid.shape)), "origin": grid.origin, "spacing": grid.spacing,
-        "notes": terrain.notes, "scatter": terrain.scatter,
+        "notes": terrain.notes,
     }  # fmt: skip
     arrays = {name: getattr(terrain, name) for name in ARRAYS}
     if terrain.water.any():
         arrays["water"] = terrain.water
+    if terrain.layer.size:
+        arrays["layer"] = terrain.layer
     if len(terrain.tops):
         arrays |= {TOPS + name: values for name, values in terrain.tops.arrays().items()}
     return facts, arrays
@@ -63,5 +65,4 @@ def _unpacked(facts, arrays):
     grid = Grid(tuple(facts["shape"]), tuple(facts["origin"]), facts["spacing"])
     tops = {n.removeprefix(TOPS): arrays.pop(n) for n in list(arrays) if n.startswith(TOPS)}
     tops = Tops.from_arrays(tops) if tops else NO_TOPS
-    return Terrain(grid, **arrays, notes=tuple(facts["notes"]), tops=tops,
-                   scatter=facts["scatter"])  # fmt: skip
+    return Terrain(grid, **arrays, notes=tuple(facts["notes"]), tops=tops)

@@ -48,15 +48,16 @@ def grade_layers(
     mirrored : bool
     """
     layers = rasterizer.layers
+    layer = frame.conductor.wet_scene.ground.thickest_layer
     dry = DryPicture(
         layers.color.reshape(*shape, 3), layers.alpha.reshape(shape), layers.depth.reshape(shape),
         layers.plane_depth.reshape(shape), layers.normal.reshape(*shape, 3),
         np.float32(frame.conductor.wet_scene.frame.meters_per_unit),
-        NO_AROUND if mirrored else AROUND,
+        NO_AROUND if mirrored else max(AROUND, layer),
     )  # fmt: skip
     ground = GroundMaps(
-        frame["bed"], frame["ground_map"], *frame.place, frame["bodies"], frame["scatter"],
-        np.float32(frame.conductor.wet_scene.ground.terrain.scatter),
+        frame["bed"], frame["ground_map"], *frame.place, frame["bodies"], frame["layer"],
+        layer,
     )  # fmt: skip
     sky = SkyMaps(frame["gloss"], frame["coat"], frame["behind_mirrored" if mirrored else "behind"])
     grade_and_wet[pixel_grid(shape, stream)](
