@@ -58,7 +58,9 @@ def ground_below(splats, cameras, up, seed):
     points, weights = ground_candidates(splats)
     eyes = np.array([camera.position for camera in cameras])
     reach = float(np.median(np.linalg.norm(points - np.median(eyes, axis=0), axis=1)))
-    level, placed, notes = level_of(cameras, reach, up), np.ones(len(eyes), bool), []
+    level, placed, notes = level_of(cameras, reach), np.ones(len(eyes), bool), []
+    if level is None and up is not None:
+        level = level_of(cameras, reach, up)
     if level is not None and up is not None and angle_between(level.up, up) > UP_HINT_ANGLE:
         off = math.degrees(angle_between(level.up, up))
         notes.append(f"the cameras were held {off:.0f} degrees from the up that is given")
