@@ -7,6 +7,9 @@ and then renamed, so that what stood there before survives a failure.
 from __future__ import annotations
 
 import io
+import math
+import os
+import stat
 import warnings
 from pathlib import Path
 
@@ -25,6 +28,7 @@ PREVIEW_FRAMES = 240  # at most; a longer film's preview skips frames
 PREVIEW_QUALITY = 75
 MOST_PIXELS = 2**27  # of a picture
 MOST_PIXELS_PER_BYTE = 10_000  # even zstd packs equal pixels no tighter
+OTHER_SHAPE = 0.01  # of width over height, by which a photograph may differ from its camera
 MAX_HDR_PIXELS = 2**27  # 16384 x 8192; more is a damaged header
 RGBE_BIAS = 128 + 8  # of the exponent, and the eight bits of the mantissa
 MIN_RLE_WIDTH, MAX_RLE_WIDTH = 8, 0x7FFF  # px between which lines may be run-length coded
@@ -168,6 +172,50 @@ def _decoded(path, read):
         raise InputError(
             f"{path} cannot be read as a picture ({fault}); it must be PNG or TIFF; write it again"
         ) from None
+
+
+def opened_photograph(path, read):
+    """Return `read(picture)` of a photograph, a Pillow picture that is not unpacked yet.
+
+    InputError where `path` is no regular file, cannot be opened as a picture, or claims too many
+    pixels. It is opened without waiting and judged once it is open, so that a pipe or a device that
+    takes a file's place is never read.
+    """
+    from PIL import Image
+
+    try:
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+            found = os.fstat(file.fileno())
+            if not stat.S_ISREG(found.st_mode):
+                raise ValueError("no regular file")
+            with warnings.catch_warnings(action="ignore"), Image.open(file) as picture:
+                if math.prod(picture.size) > min(MOST_PIXELS, MOST_PIXELS_PER_BYTE * found.st_size):
+                    raise ValueError(f"{picture.width} x {picture.height} pixels")
+                return read(picture)
+    except Exception as error:  # Pillow raises whatever the damage leads to
+        raise InputError(f"{path} cannot be read as a photograph ({_first_line(error)})") from None
+
+
+def exif_of(path):
+    """Return the EXIF of a photograph by groups, dicts of tag to value: Exif, GPS, picture."""
+
+    def read(picture):
+        found = picture.getexif()
+        return found.get_ifd(0x8769), found.get_ifd(0x8825), dict(found)
+
+    return opened_photograph(path, read)
+
+
+def small_photograph(path, width, height):
+    """Return a photograph made smaller (height, width, 3) uint8; None if its shape is another."""
+
+    def read(picture):
+        if abs(picture.width * height / (picture.height * width) - 1) > OTHER_SHAPE:
+            return None
+        picture.draft("RGB", (2 * width, 2 * height))  # a JPEG is unpacked no finer than that
+        return np.asarray(picture.convert("RGB").resize((width, height), reducing_gap=3.0))
+
+    return opened_photograph(path, read)
 
 
 def write_tiff(path, values):
