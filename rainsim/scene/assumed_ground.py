@@ -14,14 +14,18 @@ import numpy as np
 from rainsim.errors import GroundError
 from rainsim.scene.ground import (
     ASSUMED_CAMERA_HEIGHT,
-    UP_HINT_ANGLE,
     check_hints,
     estimate_ground_frame,
     ground_axes,
-    mean_image_up,
     width_of,
 )
-from rainsim.scene.ground_search import ground_candidates, said, search_ground
+from rainsim.scene.ground_search import (
+    UP_HINT_ANGLE,
+    ground_candidates,
+    mean_image_up,
+    said,
+    search_ground,
+)
 from rainsim.scene.types import GroundFrame
 
 USUAL_UPS = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)  # COLMAP's, maps', glTF's

@@ -23,7 +23,9 @@ from rainsim.errors import (
 )
 from rainsim.io.files import MAX_LENGTH, json_number, number_array, read_json, write_json
 from rainsim.scene.ground_search import (
+    UP_HINT_ANGLE,
     angle_between,
+    ground_below,
     reasons_of,
     search_ground,
 )
@@ -31,9 +33,6 @@ from rainsim.scene.types import GroundFrame
 
 VERSION_KEY, VERSION = "rainsim_ground_frame", 1  # of the file of a ground frame
 ASSUMED_CAMERA_HEIGHT = 1.5  # m, mean over the cameras: held before the eyes
-UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that the user gives
-IMAGE_UP_ANGLE = math.radians(70)  # from image-up, which leans as far as a camera looks down
-LEAST_IMAGE_UP = 0.3  # mean of unit vectors; shorter means that the cameras do not agree
 LARGEST_FALL = 0.3  # a steep drive has 0.2
 LIKELY_CAMERA_HEIGHTS = (1.0, 2.2)  # m: pictures taken low, and with raised arms
 SCALE_REMEDY = (
@@ -85,14 +84,14 @@ def estimate_ground_frame(
             "there are no cameras to find up and scale from; without any both must be given; give "
             "--up x,y,z and --meters-per-unit S"
         )
-    eyes = np.array([camera.position for camera in cameras]).reshape(-1, 3)
-    hint, max_angle = up, UP_HINT_ANGLE
-    if up is None:
-        hint = mean_image_up(cameras)
-        max_angle = math.pi if hint is None else IMAGE_UP_ANGLE
-    plane, centre = search_ground(splats, eyes, hint, max_angle, seed, up is not None)
+    eyes, told = np.empty((0, 3)), ()
+    if cameras:
+        plane, centre, placed, told = ground_below(splats, cameras, up, seed)
+        eyes = np.array([camera.position for camera in cameras])[placed]
+    else:
+        plane, centre = search_ground(splats, eyes, up, UP_HINT_ANGLE, seed, True)
 
-    notes = [_plane_note(plane, up, cameras)]
+    notes = [_plane_note(plane, up, cameras), *told]
     heights = plane.height(eyes)
     scale, assumed = _scale(heights, meters_per_unit, camera_height, notes)
     origin = (eyes.mean(axis=0) if cameras else centre).copy()
@@ -133,25 +132,12 @@ def width_of(points):
     return max(float(np.linalg.norm(high - low)) / math.sqrt(2), 1e-9)
 
 
-def mean_image_up(cameras):
-    """Return the cameras' mean image-up, a unit vector; None if they do not agree, or without any.
-
-    They do not agree if pictures were taken with the camera on its side, all around.
-    """
-    if not len(cameras):
-        return None
-    mean = np.mean([camera.image_up for camera in cameras], axis=0)
-    length = np.linalg.norm(mean)
-    return None if length < LEAST_IMAGE_UP else mean / length
-
-
 # --- frame ----------------------------------------------------------------------------------------
 
 
 def _plane_note(plane, up, cameras):
-    note = (
-        f"ground plane fitted to splats, confidence {plane.confidence:.2f} ({reasons_of(plane)}); "
-    )
+    how = "laid below the cameras" if plane.by_cameras else "fitted to splats"
+    note = f"ground plane {how}, confidence {plane.confidence:.2f} ({reasons_of(plane)}); "
     note += "up is (" + ", ".join(f"{v:.4f}" for v in plane.normal) + ") of the capture"
     if up is None:
         return f"{note}, its sign from {len(cameras)} cameras that stand above the ground"
