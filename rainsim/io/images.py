@@ -28,7 +28,6 @@ PREVIEW_FRAMES = 240  # at most; a longer film's preview skips frames
 PREVIEW_QUALITY = 75
 MOST_PIXELS = 2**27  # of a picture
 MOST_PIXELS_PER_BYTE = 10_000  # even zstd packs equal pixels no tighter
-OTHER_SHAPE = 0.01  # of width over height, by which a photograph may differ from its camera
 MAX_HDR_PIXELS = 2**27  # 16384 x 8192; more is a damaged header
 RGBE_BIAS = 128 + 8  # of the exponent, and the eight bits of the mantissa
 MIN_RLE_WIDTH, MAX_RLE_WIDTH = 8, 0x7FFF  # px between which lines may be run-length coded
@@ -174,12 +173,11 @@ def _decoded(path, read):
         ) from None
 
 
-def opened_photograph(path, read):
+def of_photograph(path, read):
     """Return `read(picture)` of a photograph, a Pillow picture that is not unpacked yet.
 
-    InputError where `path` is no regular file, cannot be opened as a picture, or claims too many
-    pixels. It is opened without waiting and judged once it is open, so that a pipe or a device that
-    takes a file's place is never read.
+    InputError where `path` is no regular file (judged once it is open: nothing waits for a pipe or
+    a device), is no picture, or claims too many pixels.
     """
     from PIL import Image
 
@@ -194,28 +192,6 @@ def opened_photograph(path, read):
                 return read(picture)
     except Exception as error:  # Pillow raises whatever the damage leads to
         raise InputError(f"{path} cannot be read as a photograph ({_first_line(error)})") from None
-
-
-def exif_of(path):
-    """Return the EXIF of a photograph by groups, dicts of tag to value: Exif, GPS, picture."""
-
-    def read(picture):
-        found = picture.getexif()
-        return found.get_ifd(0x8769), found.get_ifd(0x8825), dict(found)
-
-    return opened_photograph(path, read)
-
-
-def small_photograph(path, width, height):
-    """Return a photograph made smaller (height, width, 3) uint8; None if its shape is another."""
-
-    def read(picture):
-        if abs(picture.width * height / (picture.height * width) - 1) > OTHER_SHAPE:
-            return None
-        picture.draft("RGB", (2 * width, 2 * height))  # a JPEG is unpacked no finer than that
-        return np.asarray(picture.convert("RGB").resize((width, height), reducing_gap=3.0))
-
-    return opened_photograph(path, read)
 
 
 def write_tiff(path, values):
