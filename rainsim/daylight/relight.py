@@ -129,7 +129,7 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO, shone=True):
             measured = SunRatio(np.array(USUAL_RATIO), measured.pairs, measured.agree)
     facts = direction, tuple(map(float, measured.ratio)), confidence
     if confidence < SURE and (sun is None or not shone):
-        shown = _unsure(confidence, len(scene.cameras))
+        shown = _unsure(confidence, len(scene.cameras), sun)
         return Relight(None, f"relight: {shown}; {STAYS}", *facts)
     # Of the sun only those places tell whose plane the cameras agree on; light falls on the others
     # as on the walls that they belong to.
@@ -298,12 +298,17 @@ def _over_sky(measured, direction):
     return float(luminance(measured.ratio[None])[0]) * max(direction[2], 0.0)
 
 
-def _unsure(confidence, cameras):
-    """Return the note that no sun is sure in a capture with this number of cameras."""
+def _unsure(confidence, cameras, sun=None):
+    """Return the note that no sun is sure in a capture with this number of cameras.
+
+    `sun`, azimuth and elevation [rad], is where it stood if it shone.
+    """
     shown = f"no sure sign of sunshine in the capture (confidence {confidence:.2f})"
     if 0 < cameras < FEWEST_CAMERAS:
         shown += f"; too few cameras to see what throws shadows: {cameras} of the {FEWEST_CAMERAS} "
         shown += "it takes (or give --captured-sun)"
+    if sun is not None:
+        shown += "; if it did shine, --captured-sun={:.0f},{:.0f}".format(*map(math.degrees, sun))
     return shown
 
 

@@ -107,8 +107,8 @@ def load_scene(
     for own, its in ("cameras", cameras), ("photographs", photos):
         if its is not None:
             raise ParameterError(
-                f"scene {name_or_path} is built in and has no {own} but its own; other {own} need "
-                f"a scene of yours; leave the {own} out"
+                f"scene {name_or_path} is built in and has its own cameras; other {own} need a "
+                f"scene of yours; leave the {own} out"
             )
     scene = _built_in(str(name_or_path))
     note = (

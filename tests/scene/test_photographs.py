@@ -5,7 +5,6 @@ import math
 import os
 from dataclasses import replace
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,9 @@ from made_formats import write_splats
 from rainsim.daylight.kept_light import sun_by_clock
 from rainsim.errors import InputError, ParameterError
 from rainsim.scene import photographs
-from rainsim.scene.cameras import look_at, write_transforms
+from rainsim.scene.cameras import look_at, read_cameras, write_transforms
 from rainsim.scene.folder import read_scene, write_scene
+from rainsim.scene.ground import ground_axes
 from rainsim.scene.library import load_scene
 from rainsim.scene.photographs import fidelity_notes, lay_over, sun_position, with_photographs
 from rainsim.scene.types import GroundFrame, Scene
@@ -29,7 +29,6 @@ FRAME = GroundFrame(
     np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), 1.0, np.zeros(3), scale_assumed=True,
     notes=("up is y", "SCALE IS ASSUMED: so"),
 )  # fmt: skip
-LUND = Path(__file__).resolve().parents[3] / "shared/data/real/lund"
 
 
 def walk(count=24):
@@ -363,7 +362,7 @@ def test_paths_of_no_length_and_scales_of_no_capture():
     fixes = 100 * np.exp(1j * np.arange(12.0))
     assert lay_over(np.zeros(12, complex), fixes)[0] is None
     assert lay_over(fixes / 3, fixes)[0].factor == pytest.approx(3)
-    cameras = tuple(c.posed(c.camera_from_world @ np.diag([1, 1, 1, 1.0])) for c in walk())
+    cameras = walk()
     laid = photographs.Laid(complex(1e9), np.array([1e9, 1e9]), 100.0, 0)
     frame, notes = photographs._scaled(FRAME, cameras, laid, "")
     assert frame is FRAME and "no capture has such a scale" in notes[0]
@@ -398,25 +397,13 @@ def test_a_capture_far_from_its_photographs_is_told_once(tmp_path):
 # --- a real walk ----------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(not LUND.is_dir(), reason="needs ../shared")
-def test_a_real_walk_by_phone():
-    cameras = [c for c in photographs_of_lund()]
-    scene = with_photographs(scene_of(tuple(cameras), lund_frame()), LUND, photos=LUND / "images")
-    assert 0.94 < scene.ground_frame.meters_per_unit / 16.3 < 1.06
-    x, y, z = scene.ground_frame.rotation @ scene.captured_sun
-    assert math.degrees(math.atan2(y, x)) == pytest.approx(177, abs=3)
-    assert math.degrees(math.asin(z)) == pytest.approx(56, abs=0.5)
-
-
-def photographs_of_lund():
-    from rainsim.scene.cameras import read_cameras
-
-    return read_cameras(LUND / "transforms.json")
-
-
-def lund_frame():
-    from rainsim.scene.ground import ground_axes
-
+def test_a_real_walk_by_phone(shared):
+    folder = shared("data/real/lund")
+    cameras = read_cameras(folder / "transforms.json")
     up = np.array([-0.519, 0.045, -0.854])
-    axes = ground_axes(up / np.linalg.norm(up), photographs_of_lund())
-    return GroundFrame(axes, 12.0, np.zeros(3), scale_assumed=True, notes=("SCALE IS ASSUMED",))
+    axes = ground_axes(up / np.linalg.norm(up), cameras)
+    frame = replace(FRAME, rotation=axes, meters_per_unit=12.0)
+    scene = with_photographs(scene_of(tuple(cameras), frame), folder, photos=folder / "images")
+    assert 0.94 < scene.ground_frame.meters_per_unit / 16.3 < 1.06
+    azimuth, elevation = map(math.degrees, sun_by_clock(scene))
+    assert azimuth == pytest.approx(177, abs=3) and elevation == pytest.approx(56, abs=0.5)
