@@ -10,7 +10,9 @@ from scipy import ndimage
 from rainsim.io.states import NO_TRACKS
 from rainsim.shading import wetness
 from rainsim.shading.bodies import BodyMap
-from rainsim.shading.wetting import GroundMaps
+from rainsim.shading.wetting import NO_SCATTER, GroundMaps
+
+BESIDE = 0.08  # m about things that stand on poorly known ground, where its layer gets thin
 
 
 class TrackedMap(NamedTuple):
@@ -51,11 +53,14 @@ class WetGround:
         None until `wet` is called; another one whenever the map changes.
     bodies : BodyMap or None
         None until `stand` is called.
+    scatter : ndarray of shape (ny, nx) or (0, 0), float32 [m]
+        See `scatter_map`.
     """
 
     def __init__(self, terrain, reach):
         self.terrain, self.reach, self.grass = terrain, reach, blurred_grass(terrain)
         self.tracked = self.bodies = None
+        self.scatter = scatter_map(terrain)
         self._tracks, self._copies = NO_TRACKS, []
 
     def stand(self, actors):
@@ -99,7 +104,20 @@ class WetGround:
         """The `GroundMaps` of the present time, as kernels take them."""
         grid = self.terrain.grid
         place = np.array(grid.origin, np.float32), np.float32(grid.spacing)
-        return GroundMaps(self.terrain.bed, self.map, *place, self.bodies.now)
+        layer = self.scatter, np.float32(self.terrain.scatter)
+        return GroundMaps(self.terrain.bed, self.map, *place, self.bodies.now, *layer)
+
+
+def scatter_map(terrain):
+    """Return how far from the bed splats may lie that show it, (ny, nx) float32 [m].
+
+    Nowhere where something stands. Of shape (0, 0) where the bed is known.
+    """
+    if not terrain.scatter:
+        return NO_SCATTER
+    width = BESIDE / terrain.grid.spacing
+    standing = ndimage.gaussian_filter((terrain.top > terrain.bed).astype(np.float32), width)
+    return np.float32(terrain.scatter) * np.maximum(1 - 2 * standing, 0)
 
 
 def blurred_grass(terrain):

@@ -217,7 +217,8 @@ class WetScene:
     def depth_of(self, layers, view):
         """Return the depth of surfaces in splatted layers, see `find_surface_depth`."""
         depth = np.empty(layers.alpha.shape, np.float32)
-        find_surface_depth(dry_picture(layers, self.frame.meters_per_unit), view, depth)
+        dry = dry_picture(layers, self.frame.meters_per_unit)
+        find_surface_depth(dry, view, self.ground.maps, depth)
         return depth
 
     def picture(self, camera, cover=NO_COVER):

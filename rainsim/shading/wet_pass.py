@@ -42,9 +42,11 @@ from rainsim.shading.wetting import (
     SkyMaps,
     SurfacePoint,
     glossed,
+    ground_share,
     heights_over,
-    is_ground,
+    layer_at,
     mirror_cover,
+    on_bed,
     rainy_color,
     wet_pixel,
     wet_state,
@@ -64,7 +66,8 @@ from rainsim.shading.wetting import (
 # Heights as `heights_of` returns them, shares of gloss, of sky and of what is smooth of the gloss,
 # and places in maps: first the ground's column and row, then the environment's.
 (CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(21, 28))
-WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
+LEVEL = 28 * CHUNK  # how surely it is the ground, see `ground_share`
+WETNESS = 29 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
 NO_DEPTH = np.float32(np.inf)
@@ -198,10 +201,11 @@ def grade_row(
             depth[left:end], plane_depth[left:end],
             normals[row, 3 * left : 3 * end], dry.meters_per_unit, n, s,
         )  # fmt: skip
-        locate(view, b, left, n, s)
+        locate(view, b, left, n, ground, s)
         find_heights(ground, n, s, glossy, corner)
         if dry.around > ZERO:
             take_normals_around(dry, normals, view, row, left, n, s, glossy)
+        find_levels(ground, n, s)
         find_wetness(ground, rain, n, s)
         color_pixels(look, mirror_apart, n, s)
         add_surroundings(sky, n, s, glossy, open_)
@@ -240,7 +244,7 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 
 
 @inlined_function
-def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha):
+def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
     """Return what a pixel of the capture shows: view direction, depths, cosine and place.
 
     Parameters
@@ -255,6 +259,7 @@ def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha):
     depth, plane_depth : float32 [m]
         As splatted.
     alpha : float32
+    ground : GroundMaps
 
     Returns
     -------
@@ -279,18 +284,21 @@ def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha):
     point = SurfacePoint(
         eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
     )
+    if ground.scatter.shape[0] > 1 and e > ZERO:
+        point, d = on_bed(point, e, d, x, y, z, ground)
+        cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
     return x * inv, y * inv, z * inv, d, d * length, cosine, point
 
 
 @inlined_function
-def locate(view, b, left, n, s):
+def locate(view, b, left, n, ground, s):
     """Find where in the ground frame each pixel of a row at slope b is."""
     turn, eye = turn_of(view.ground_from_camera), (view.eye[0], view.eye[1], view.eye[2])
     for i in range(n):
         x, y, z, depth, far, cosine, point = seen_surface(
             turn, eye, column_slope(view, left + i), b,
             (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]), s[DEPTH + i], s[PLANE + i],
-            s[ALPHA + i],
+            s[ALPHA + i], ground,
         )  # fmt: skip
         s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x, y, z
         s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
@@ -335,9 +343,9 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
     radius = dry.around / dry.meters_per_unit
     found = 0
     for i in range(n):
-        level = is_ground(s[CLEARANCE + i], s[UPNESS + i])
+        level = ground_share(s[CLEARANCE + i], s[UPNESS + i], ZERO)
         here = dry.depth[row, left + i]
-        shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (not level)
+        shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (level < ONE)
         which = step_of(focal, radius, here)
         s[GLOSS + i], s[THROUGH + i] = here, sharpness(focal, which, here)
         step[i] = np.uint32(1 << which) if shown else np.uint32(0)
@@ -390,10 +398,25 @@ def add_normals(depth, normal, first, n, s):
 
 
 @inlined_function
+def find_levels(ground, n, s):
+    """Find how surely each pixel shows the ground."""
+    for i in range(n):
+        s[LEVEL + i] = ZERO
+    if ground.scatter.shape[0] > 1:
+        for i in range(n):
+            u, v = map_place(s[X + i], s[Y + i], ground.origin, ground.spacing)
+            s[LEVEL + i] = layer_at(ground, u, v)
+    for i in range(n):
+        s[LEVEL + i] = ground_share(s[HEIGHT + i], s[UPNESS + i], s[LEVEL + i])
+
+
+@inlined_function
 def find_wetness(ground, rain, n, s):
     """Find how wet each pixel's surface is: `wet_state` in vectors."""
     for i in range(n):
-        wet = wet_state(surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], ground, rain)
+        wet = wet_state(
+            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], ground, rain
+        )
         store_wetness(wet, s, WETNESS + i, CHUNK)
 
 
@@ -411,13 +434,12 @@ def color_pixels(look, mirror_apart, n, s):
     for i in range(n):
         r, g, b, gloss, through, smooth = rainy_color(
             s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[FAR + i], s[VIEW_Z + i],
-            s[COSINE + i], s[UPNESS + i], s[HEIGHT + i], stored_wetness(s, WETNESS + i, CHUNK),
-            look,
+            s[COSINE + i], s[UPNESS + i], s[HEIGHT + i], s[LEVEL + i],
+            stored_wetness(s, WETNESS + i, CHUNK), look,
         )  # fmt: skip
         s[RED + i], s[GREEN + i], s[BLUE + i], s[THROUGH + i] = r, g, b, through
         s[SMOOTH + i] = smooth
-        level = is_ground(s[HEIGHT + i], s[UPNESS + i])
-        s[GLOSS + i] = ZERO if mirror_apart and level else gloss
+        s[GLOSS + i] = gloss * (ONE - s[LEVEL + i]) if mirror_apart else gloss
 
 
 @inlined_function
@@ -486,8 +508,8 @@ def write_cover(ground, look, n, s, cover_out):
     """Write the share of a full water film on level ground."""
     for i in range(n):
         cover_out[i] = ZERO
-        if is_ground(s[HEIGHT + i], s[UPNESS + i]):
+        if s[LEVEL + i] > ZERO:
             cover_out[i] = mirror_cover(
-                surface_point(s, i), s[CLEARANCE + i], stored_wetness(s, WETNESS + i, CHUNK),
-                ground, look,
+                surface_point(s, i), s[CLEARANCE + i], s[LEVEL + i],
+                stored_wetness(s, WETNESS + i, CHUNK), ground, look,
             )  # fmt: skip

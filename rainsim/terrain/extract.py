@@ -18,15 +18,23 @@ from rainsim.lod.held_parts import scene_over
 from rainsim.scene.types import Camera, pose_at
 from rainsim.surface.kept_surface import kept_surface
 from rainsim.surface.sweep import ground_sweep
+from rainsim.terrain import assumed_bed, filters
 from rainsim.terrain import bed as bedding
-from rainsim.terrain import filters
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains, painted_mask
 from rainsim.terrain.map_size import choose_grid
 from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, SLAB, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.tops import find_tops, note_of
-from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
+from rainsim.terrain.types import (
+    GAP_HEIGHT,
+    INFERRED,
+    MEASURED,
+    NO_TOPS,
+    UNKNOWN,
+    Grid,
+    Terrain,
+)
 
 MIN_SEEN_ALPHA = 0.5  # of a cell from above: with less its height is unknown
 OCCLUDER_HEIGHT = 0.10  # m above the ground from which something shelters it
@@ -76,7 +84,7 @@ def extract_terrain(scene, config, mask=None, tell=None):
                 maps[name][core] = values[inner]
     source, bed, top, underside = (maps[n] for n in ("source", "bed", "top", "underside"))
     seen = np.mean(source != UNKNOWN)
-    if seen < LEAST_GROUND:
+    if seen < LEAST_GROUND and not (cloud.scatter and seen):
         raise GroundError(
             f"only {seen:.1%} of the map of {grid.size[0]:g} x {grid.size[1]:g} m shows "
             f"ground within {SLAB:g} m of the ground plane, from {len(scene.splats):,} splats; "
@@ -89,9 +97,9 @@ def extract_terrain(scene, config, mask=None, tell=None):
         stands = filled & (top > bed + water + OCCLUDER_HEIGHT)
         np.copyto(top, bed, where=filled & ~stands)
         np.copyto(underside, bed, where=filled & (underside < bed + water + GAP_HEIGHT))
-    terrain = Terrain(grid, **maps, water=water)
+    terrain = Terrain(grid, **maps, water=water, scatter=cloud.scatter)
     removed = int(np.count_nonzero(left_out))
-    tops = find_tops(terrain, scene)
+    tops = NO_TOPS if cloud.scatter else find_tops(terrain, scene)
     step()
     notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes, *note_of(tops))
     return replace(terrain, notes=notes, tops=tops)
@@ -205,19 +213,28 @@ def _piece(scene, cloud, piece, mask, step):
     near = cloud.near_bed & over
     ground = cloud.look(near, grid)
     step()
-    known = ground.alpha > MIN_SEEN_ALPHA
-    off = _floaters(cloud, ground, grid) & near if known.any() else np.zeros_like(near)
-    kept = near & ~off
-    if off.any():
-        ground = cloud.look(kept, grid)
+    off = np.zeros_like(near)
+    if cloud.scatter:
+        step()
+        bed, source, noise, color, green = assumed_bed.bed_of(ground, grid)
+    else:
+        if (ground.alpha > MIN_SEEN_ALPHA).any():
+            off = _floaters(cloud, ground, grid) & near
+        kept = near & ~off
+        if off.any():
+            ground = cloud.look(kept, grid)
+        step()
+        below = cloud.look(kept, grid, from_below=True)
+        bed, source, noise, color, green = _bed(ground, below, grid, cloud.level, cloud.sweep)
     step()
-    below = cloud.look(kept, grid, from_below=True)
-    bed, source, noise, color, green = _bed(ground, below, grid, cloud.level, cloud.sweep)
-    step()
-    upper = cloud.look(cloud.below_ceiling & over, grid)
-    step()
-    lower = cloud.look(cloud.overhead & over, grid, from_below=True)
-    top, underside = _cover(upper, lower, bed, grid.cell_area)
+    if cloud.scatter:
+        step()
+        top, underside = assumed_bed.cover(cloud.places, grid, bed, cloud.scatter, cloud.top)
+    else:
+        upper = cloud.look(cloud.below_ceiling & over, grid)
+        step()
+        lower = cloud.look(cloud.overhead & over, grid, from_below=True)
+        top, underside = _cover(upper, lower, bed, grid.cell_area)
     step()
     classes = classify(bed, top, source, noise, color, green, grid.spacing)
     classes = mark_drains(classes, grid, scene)
@@ -225,7 +242,7 @@ def _piece(scene, cloud, piece, mask, step):
         classes = np.where(np.asarray(mask) >= 0, mask, classes).astype(np.uint8)
     bed = bedding.lower_rim(bed, classes == HARD, classes == GRASS, grid.spacing)
     # The soil under grass lies lower; what stands in the grass stands on it.
-    soil = cloud.soil(bed, classes, grid)
+    soil = bed if cloud.scatter else cloud.soil(bed, classes, grid)
     lowered = soil < bed
     step()
     return {
@@ -250,6 +267,11 @@ def _report(terrain, removed, mask):
         f"ground measured {shares[0]:.0%}, inferred {shares[1]:.0%}, unknown {shares[2]:.0%}; "
         f"noise of the paving {terrain.hard_noise * 1e3:.2f} mm"
     )
+    if terrain.scatter:
+        yield (
+            f"PUDDLES ARE ASSUMED: the splats of the ground lie up to {terrain.scatter:.2g} m off "
+            "it, so its bed is a plane with the unevenness of an average road (ISO 8608, class C)"
+        )
     names = class_table().names
     counted = [(np.mean(classes == code), name) for code, name in enumerate(names)]
     yield "classes: " + ", ".join(f"{name} {share:.0%}" for share, name in counted if share > 0)
@@ -299,27 +321,39 @@ class _Cloud:
             start = _start_radius(scene, grid)
             self.level, share = follow_ground(self.position, self.cover, grid, start)
         self.above = self.position[:, 2] - self.level(self.position[:, 0], self.position[:, 1])
+        # Half the thickness of the layer of splats that show poor ground, 0 where it is known.
+        self.scatter = 0.0 if level is not None else self._scatter(_camera_height(scene))
+        self.slab = max(SLAB, self.scatter)
+        if self.scatter:
+            self.level, self.above = _plane, self.position[:, 2]
         solid = self.cover > 0
-        self.near_bed = (np.abs(self.above) < SLAB) & solid
+        self.near_bed = (np.abs(self.above) < self.slab) & solid
         ceiling = _ceiling(scene)
         x, y = grid.centres()
         level = self.level(*np.meshgrid(x[::8], y[::8]))
         self.top = float(level.max()) + ceiling
-        self.floor = float(level.min()) - SLAB
+        self.floor = float(level.min()) - self.slab
         self.below_ceiling = self.above < ceiling
         floating = lonely(self.position, self.splats, self.frame, grid, self.top)
-        self.below_ceiling &= ~floating | (self.above <= SLAB)
-        self.overhead = self.below_ceiling & (self.above > SLAB)
+        self.below_ceiling &= ~floating | (self.above <= self.slab)
+        self.overhead = self.below_ceiling & (self.above > self.slab)
         self.sweep = None
         # Generated scenes were not photographed; along a drive pictures take too long.
-        if scene.source is not None and scene.cameras and scene.pages is None:
-            self.sweep = ground_sweep(scene, kept_surface(scene))
+        photographed = scene.source is not None and scene.cameras and scene.pages is None
+        found = kept_surface(scene) if photographed else None
+        if photographed and not self.scatter:
+            self.sweep = ground_sweep(scene, found)
+        self.places = self.position if found is None else found.surface.position
         self.notes = ()
         if level.max() - level.min() > SLAB:
             self.notes = (
                 f"the ground rises {level.max() - level.min():.2f} m within the map and was "
                 f"followed on {share:.0%} of it",
             )
+
+    def _scatter(self, height):
+        scatter = assumed_bed.scatter_of(self.above, self.position, self.cover, height)
+        return min(assumed_bed.LAYER * scatter, assumed_bed.WINDOW * height)
 
     def look(self, which, grid, from_below=False):
         """Return what the splats of the mask `which` show on a grid from above, or from below."""
@@ -362,6 +396,17 @@ def _start_radius(scene, grid):
         return max(grid.size) / 4
     foot = np.array([scene.ground_frame.to_ground(c.position)[:2] for c in scene.cameras])
     return float(max(1.0, np.median(np.linalg.norm(foot - foot.mean(axis=0), axis=1))))
+
+
+def _camera_height(scene):
+    """Return the median height of the cameras over the ground plane [m], or one that is assumed."""
+    heights = [scene.ground_frame.to_ground(camera.position)[2] for camera in scene.cameras]
+    return max(float(np.median(heights)), 0.1) if heights else assumed_bed.WITHOUT_CAMERAS
+
+
+def _plane(x, y):
+    """Return the height of the ground plane [m] at arrays of points."""
+    return np.zeros(np.broadcast(x, y).shape)
 
 
 def _ceiling(scene):

@@ -48,7 +48,7 @@ def _packed(terrain):
     grid = terrain.grid
     facts = {
         "shape": list(map(int, grid.shape)), "origin": grid.origin, "spacing": grid.spacing,
-        "notes": terrain.notes,
+        "notes": terrain.notes, "scatter": terrain.scatter,
     }  # fmt: skip
     arrays = {name: getattr(terrain, name) for name in ARRAYS}
     if terrain.water.any():
@@ -63,4 +63,5 @@ def _unpacked(facts, arrays):
     grid = Grid(tuple(facts["shape"]), tuple(facts["origin"]), facts["spacing"])
     tops = {n.removeprefix(TOPS): arrays.pop(n) for n in list(arrays) if n.startswith(TOPS)}
     tops = Tops.from_arrays(tops) if tops else NO_TOPS
-    return Terrain(grid, **arrays, notes=tuple(facts["notes"]), tops=tops)
+    return Terrain(grid, **arrays, notes=tuple(facts["notes"]), tops=tops,
+                   scatter=facts["scatter"])  # fmt: skip

@@ -150,6 +150,9 @@ class Terrain:
         What lies flat above the ground, see `rainsim.terrain.tops`.
     footprints : tuple of rainsim.actors.footprint.Footprint
         Of the actors that move over the map; not written to files.
+    scatter : float [m]
+        How far from the bed the splats lie that show the ground, where they tell its height too
+        poorly: the bed is then assumed. 0 where it is known.
 
     Examples
     --------
@@ -172,6 +175,7 @@ class Terrain:
     poured: np.ndarray | None = None
     tops: Tops = NO_TOPS
     footprints: tuple = ()
+    scatter: float = 0.0
 
     def __post_init__(self):
         """Fill in a map of zeros if no water was painted."""

@@ -75,6 +75,8 @@ class DeviceFrame:
         shape = (*grid.shape, 3) if bodies else (1, 1, 3)
         self._buffers = {
             "bed": to_device(ground.terrain.bed), "ground_map": to_device(scene.ground.map),
+            "scatter": to_device(scene.ground.scatter if scene.ground.scatter.size
+                                 else np.zeros((1, 1), np.float32)),
             "rings": to_device(ground.rings), "bodies": cuda.device_array(shape, np.uint8),
             "environment": to_device(scene.sky.environment), "gloss": to_device(scene.sky.gloss),
             "coat": to_device(scene.sky.coat), "behind": to_device(scene.sky.behind),
