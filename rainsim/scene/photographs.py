@@ -61,17 +61,9 @@ class Laid(NamedTuple):
 def with_photographs(scene, path, cameras=None, photos=None, keep_scale=False):
     """Return a scene with what the photographs of its cameras tell, and notes on it.
 
-    Parameters
-    ----------
-    scene : Scene
-    path : path-like
-        The capture, beside which photographs are looked for.
-    cameras : path-like or sequence of Camera, optional
-        As `import_scene` takes them.
-    photos : path-like, optional
-        The folder of the photographs; InputError if it has none that is named as a camera is.
-    keep_scale : bool
-        Leave the scale alone even if it is assumed.
+    They are looked for beside the capture at `path` and the file `cameras`, if it is one; or in the
+    folder `photos`: InputError if it has none that is named as a camera is. `keep_scale` leaves the
+    scale alone even if it is assumed.
     """
     folders = _folders(Path(path), cameras) if photos is None else [Path(photos)]
     found = [_pictures_in(folder) for folder in folders]
@@ -184,6 +176,7 @@ def taken_of(picture):
 
 
 def _place(gps):
+    """Return latitude and longitude [degrees], to the north and to the east."""
     latitude, longitude = _sixtieths(gps[2]), _sixtieths(gps[4])
     if not (0 <= latitude <= 90 and 0 <= longitude <= 180 and latitude + longitude > 0):
         raise ValueError
@@ -284,17 +277,8 @@ def _scaled(frame, cameras, laid, why):
 def sun_position(latitude, longitude, utc):
     """Return azimuth, from north towards east, and elevation of the sun [rad].
 
+    The place is in degrees, to the north and to the east, and `utc` a datetime without a zone.
     Within .02 degrees, without refraction, which lifts the sun by .1 degrees at 8 degrees.
-
-    Parameters
-    ----------
-    latitude, longitude : float [degrees]
-        To the north and to the east.
-    utc : datetime
-        Without a zone.
-
-    References
-    ----------
     J. Meeus, "Astronomical Algorithms" (1998), chapters 12, 13 and 25 (low accuracy).
     """
     days = (utc - datetime(2000, 1, 1, 12)).total_seconds() / 86400
