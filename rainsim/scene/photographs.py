@@ -98,7 +98,10 @@ def _folders(path, cameras):
     """Return the folders in which photographs of a capture may lie, none for a scene folder."""
     if (path if path.is_dir() else path.parent).joinpath(SCENE_FILE).is_file():
         return []
-    splat_file, model = locate(path)
+    try:
+        splat_file, model = locate(path)
+    except InputError:  # what an actors.json names
+        return []
     beside = [splat_file.parent, model]
     if isinstance(cameras, str | Path):
         beside.insert(0, Path(cameras).parent)
@@ -227,19 +230,19 @@ def lay_over(path, fixes):
     """
     kept = np.abs(fixes) <= FAR_FIX * max(float(np.median(np.abs(fixes))), FIX_ERROR)
 
-    def pairs():
+    def pairs(factor=None):  # apart by their fixes; by the path once its factor is known
         i, j = np.triu_indices(int(kept.sum()), 1)
         units, metres = (values[kept][i] - values[kept][j] for values in (path, fixes))
-        apart = (np.abs(metres) >= SPAN * FIX_ERROR) & (np.abs(units) > 0)
-        return metres[apart] / units[apart], float(np.abs(metres).max(initial=0))
+        long = np.abs(metres if factor is None else factor * units)
+        apart = (long >= SPAN * FIX_ERROR) & (np.abs(units) > 0)
+        return metres[apart] / units[apart], float(long.max(initial=0))
 
     def middle(values):
         return complex(np.median(values.real), np.median(values.imag))
 
     ratio, span = pairs()
-    short = f"{kept.sum()} fixes span {span:.0f} m, and a phone's are {FIX_ERROR:g} m off"
     if kept.sum() < FEWEST or len(ratio) < FEWEST:
-        return None, short
+        return None, f"{kept.sum()} fixes span {span:.0f} m, and a phone's are {FIX_ERROR:g} m off"
     factor = np.median(np.abs(ratio)) * np.exp(1j * np.angle(middle(ratio / np.abs(ratio))))
     for _ in range(8):
         off = fixes - factor * path
@@ -247,11 +250,9 @@ def lay_over(path, fixes):
         kept = off <= max(3 * float(np.median(off)), FIX_ERROR)
         units, metres = (values[kept] - values[kept].mean() for values in (path, fixes))
         factor = np.vdot(units, metres) / max(float(np.vdot(units, units).real), 1e-30)
-    ratio, span = pairs()
-    if len(ratio) < FEWEST:
-        return None, short
-    spread = np.percentile(np.abs(ratio), (16, 84))
-    fits = spread[0] / 1.1 < abs(factor) < 1.1 * spread[1] and spread[1] < MOST_SPREAD * spread[0]
+    ratio, span = pairs(factor)
+    low, high = spread = np.percentile(np.abs(ratio), (16, 84)) if len(ratio) >= FEWEST else (0, 0)
+    fits = low / 1.1 < abs(factor) < 1.1 * high and high < MOST_SPREAD * low
     if kept.mean() < LEAST_KEPT or not fits:
         return None, "its fixes do not lie as the cameras do"
     return Laid(complex(factor), spread, span, int((~kept).sum())), ""
