@@ -32,7 +32,6 @@ MOST_READ = 400  # photographs of a capture, evenly spaced
 FIX_ERROR, SPAN = 8.0, 5.0  # m, of a phone's fix; times it, from which two fixes lie apart
 FEWEST, LEAST_KEPT = 4, 2 / 3  # fixes; share of them that must fit the path of the cameras
 MOST_SPREAD = 2.0  # ratio between the 84th and 16th percentile of metres per unit
-FAR_FIX = 5.0  # times the median distance from the middle, beyond which a fix is none
 DEGREE = 111_200.0  # m of latitude, within .5 %
 YEARS = range(1990, 2100)  # of photographs: clocks that were never set say 1970 or 1980
 MOST_HOURS, LOWEST_SUN = 1.0, 3.0  # between photographs; degrees: beyond them no sun is taken
@@ -228,7 +227,7 @@ def lay_over(path, fixes):
     The first factor is the median over pairs of fixes that lie apart, which a few wrong ones do not
     move; least squares over those that fit, several times, make it better.
     """
-    kept = np.abs(fixes) <= FAR_FIX * max(float(np.median(np.abs(fixes))), FIX_ERROR)
+    kept = np.ones(len(fixes), bool)
 
     def pairs(factor=None):  # apart by their fixes; by the path once its factor is known
         i, j = np.triu_indices(int(kept.sum()), 1)
