@@ -35,6 +35,7 @@ VERSION_KEY, VERSION = "rainsim_ground_frame", 1  # of the file of a ground fram
 # m, mean over the cameras, where it is not given. Five captures from photographs say 1.67 (laser
 # scan), 1.7 (a table), 1.87 (laser scan), 1.95 (GPS) and some 2.0 (a bollard).
 ASSUMED_CAMERA_HEIGHT = 1.8
+STRAY = 10.0  # times the usual height of the cameras: one that is higher is misplaced
 LARGEST_FALL = 0.3  # a steep drive has 0.2
 LIKELY_CAMERA_HEIGHTS = (1.2, 2.4)  # m: pictures taken low, and with raised arms
 SCALE_REMEDY = (
@@ -206,6 +207,9 @@ def rescale_ground_frame(frame, cameras, meters_per_unit=None, camera_height=Non
             "needed; give it"
         )
     eyes = np.array([frame.to_ground(camera.position) for camera in cameras]).reshape(-1, 3)
+    if len(eyes):  # what a solver misplaced does not count
+        usual = float(np.median(np.abs(eyes[:, 2])))
+        eyes = eyes[np.abs(eyes[:, 2]) <= STRAY * usual]
     notes = [note for note in frame.notes if not note.lower().startswith("scale")]
     scale, assumed = _scale(
         eyes[:, 2] / frame.meters_per_unit, meters_per_unit, camera_height, notes
