@@ -40,13 +40,9 @@ def kept_relight(scene, config, found, white):
         facts, arrays = entry
         direction = None if facts["sun"] is None else np.array(facts["sun"])
         return Relight(
-            arrays.get("gain"),
-            facts["note"],
-            direction,
-            facts["ratio"],
-            facts["confidence"],
-            facts["ground_only"],
-        )
+            arrays.get("gain"), facts["note"], direction, facts["ratio"], facts["confidence"],
+            arrays.get("ground"),
+        )  # fmt: skip
     relight = find_relight(scene, found, sun, white, shone)
     facts = {
         "note": relight.note, "confidence": relight.confidence, "ratio": relight.ratio,
