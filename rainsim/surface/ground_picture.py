@@ -127,7 +127,7 @@ def ground_of(view, step, reach):
     and lengths (n,) [m], and the places (m, 2) of what stands.
     """
     ray, depth, shown = _rays(view, step)
-    loose = (reach / view.eye[2] - LEAST_OFF) / (MOST_OFF - LEAST_OFF)
+    loose = (reach / max(view.eye[2], 1e-6) - LEAST_OFF) / (MOST_OFF - LEAST_OFF)
     off = OFF_DEPTH * min(max(loose, 0), 1) * depth
     along = np.clip(-view.eye[2] / ray[:, 2], depth - off, depth + off)
     place = view.eye + along[:, None] * ray

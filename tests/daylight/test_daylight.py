@@ -297,10 +297,11 @@ def test_nothing_is_looked_for_where_nothing_is_wanted(tmp_path, monkeypatch, ch
     assert found.gain is None and found.note == ""
 
 
-def test_a_timeline_brings_the_sun_back(tmp_path, monkeypatch):
+@pytest.mark.parametrize("of_ground", [False, True])
+def test_a_timeline_brings_the_sun_back(tmp_path, monkeypatch, of_ground):
     from rainsim.pipeline import extract_terrain
 
-    monkeypatch.setattr(kept_light, "find_relight", fake_relight)
+    monkeypatch.setattr(kept_light, "find_relight", lifted_relight if of_ground else fake_relight)
     scene = replace(scenes.tiny_scene(), source=tmp_path)
     camera = scene.cameras[0]
     config = replace(
@@ -323,6 +324,12 @@ def test_a_timeline_brings_the_sun_back(tmp_path, monkeypatch):
 def fake_relight(scene, found, sun, white, shone):
     gain = np.full((len(scene.splats), 3), 2, np.float16)
     return relight.Relight(gain, "fake", np.array([0.0, 0.0, 1.0]), (1.0, 1.0, 1.0), 1.0)
+
+
+def lifted_relight(scene, found, sun, white, shone):
+    light = np.minimum(2 * light_of(scene.splats), 1)
+    ground = np.column_stack([light, np.ones(len(light))]).astype(np.float16)
+    return relight.Relight(None, "fake", None, (1.0, 1.0, 1.0), 1.0, ground)
 
 
 # --- visibility -----------------------------------------------------------------------------------

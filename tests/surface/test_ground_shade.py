@@ -11,6 +11,8 @@ from rainsim.daylight import relight
 from rainsim.daylight.kept_light import under_clouds
 from rainsim.numerics.srgb import display, linear
 from rainsim.scene.types import GroundFrame, Scene
+from rainsim.surface import kept_surface
+from rainsim.surface.fuse import CaptureSurface
 from rainsim.surface.ground_picture import ground_picture
 from rainsim.surface.ground_shade import ground_shade, hidden_at, lifted
 
@@ -126,3 +128,18 @@ def test_what_stands_is_not_of_the_ground(shadow):
     hidden, ground = hidden_at(found, place, np.log(made_ground.light_of(place)))[:2]
     np.testing.assert_allclose(ground, [1, 0, 0], atol=0.01)
     assert hidden[0] > 0.9
+
+
+def test_it_is_kept_for_the_next_run(shadow, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
+    surface = CaptureSurface(*np.zeros((6, 2, 3), np.float32))
+    sky, maps = np.zeros(100, bool), np.zeros((2, 10), np.float32)
+    found = kept_surface.Found(surface, sky, maps[0, :3], maps, maps > 0, 3.0, shadow[1])
+    splats = factories.splats(np.zeros((100, 3)))
+    scene = Scene("made", splats, (), GroundFrame(np.eye(3), 1.0, np.zeros(3)), None, "0" * 64, ())
+    for find in (lambda _: found, None):  # to call it again would be an error
+        monkeypatch.setattr(kept_surface, "_last", [None, None])
+        monkeypatch.setattr(kept_surface, "find_surface", find)
+        again = kept_surface.kept_surface(scene).shade
+    for mine, kept in zip(shadow[1], again, strict=True):
+        np.testing.assert_array_equal(kept, mine)
