@@ -55,7 +55,7 @@ SHARE_OF_WIDTH = 1.0, 1e-3  # of a mean, see `_smoothed`
 SAME_TINT, SAME_LIGHT, PAINT_REACH = 0.2, 3.0, 150.0
 ALIKE_PLACES, LACKS = 8, (-0.1, 0.5)  # of one paint; logarithms, see `_known_paint`
 SURE = 0.5  # confidence from which on shade is believed
-MARGIN = 2 * EDGE + 2  # cells around the picture, so that no neighbour is beyond it
+MARGIN = 3 * EDGE + 2  # cells around the picture, so that no neighbour is beyond it
 
 
 class GroundShade(NamedTuple):
@@ -296,7 +296,7 @@ def _confirmed(smooth, seen, shade, ratio):
     out = -slope[edge] / np.maximum(np.linalg.norm(slope[edge], axis=1), 1e-6)[:, None]
     step = np.zeros((len(place), 3))
     known, good = np.zeros((2, len(place)), bool)
-    for away in (EDGE, 2 * EDGE):  # the edge of a blurred shadow is wide: the larger step counts
+    for away in (EDGE, 2 * EDGE, 3 * EDGE):  # the edge of a blurred shadow is wide: the larger step counts
         lit = tuple(np.rint(place + away * out).astype(int).T)
         dark = tuple(np.rint(place - away * out).astype(int).T)
         fits = seen[lit] & seen[dark] & ~shade[lit]
