@@ -45,6 +45,7 @@ BAND = 3  # cells about the edge of a shadow in which the share is that of the b
 FLECK, PAINT = 5.0, 0.25  # cells about one in the shade, and share that paint may make of a fleck
 LARGEST = 12.0  # cells, that a splat of the ground deviates at most
 WHOLLY = 4.0  # one over the hidden share from which on a splat is all of the shaded ground
+BRIGHTER = 0.25  # logarithm, by which paint may be brighter than the sunlit ground about it
 VARIES = 0.15  # logarithm, by which a splat may differ from the picture of the ground
 PAINT_OFF = 0.4  # logarithm off the step's direction, that paint may make of a splat
 # Of what may be off the ground's level: splats as far above it and below it are still its own.
@@ -114,7 +115,7 @@ def hidden_at(shade, position, log):
     `position` (n, 3) [m] and `log`, the logarithm of their light, are those of the places. At the
     edge of a shadow their own light tells how much of it is shaded, if sun and shade may make it.
     What stands on the ground, higher than what its picture shows as ground, is none of it. Then how
-    much their own light counts, and logarithms (n, 3) of lit over shaded light.
+    much their own light counts, and logarithms (n, 3) of lit over shaded light and of lit ground.
     """
     place = place_on(shade, position).T
 
@@ -130,7 +131,7 @@ def hidden_at(shade, position, log):
     share = at(shade.share)
     own, off = _hidden(log, lit, step)
     by_own = at(shade.band.astype(np.float32)) * (off < PAINT_OFF)
-    return share + by_own * (np.clip(own, 0, 1) - share), ground, by_own, step
+    return share + by_own * (np.clip(own, 0, 1) - share), ground, by_own, step, lit
 
 
 def lifted(shade, position, log, size):
@@ -142,7 +143,7 @@ def lifted(shade, position, log, size):
     ones, of any tint. By what a splat is brighter or darker than the picture it stays so, but for
     more than VARIES.
     """
-    share, ground, by_own, step = hidden_at(shade, position, log)
+    share, ground, by_own, step, lit = hidden_at(shade, position, log)
     edge = log + _gain(share, step)
     place = place_on(shade, position).T
     maps = [*np.moveaxis(shade.log, 2, 0), *np.moveaxis(_gain(shade.share, shade.step), 2, 0)]
@@ -150,6 +151,7 @@ def lifted(shade, position, log, size):
     own = np.clip((log - maps[:, :3]) @ LUMINANCE_WEIGHTS, -VARIES, VARIES)
     inside = maps[:, :3] + maps[:, 3:] + own[:, None]
     light = edge + (1 - by_own)[:, None] * (inside - edge)
+    light = np.minimum(light, np.maximum(lit + BRIGHTER, log))  # flecks of sun are no darker paint
     within = ground * np.clip(WHOLLY * share, 0, 1) * (size < LARGEST * shade.cell)
     return np.column_stack([np.exp(light), within])
 
@@ -296,7 +298,11 @@ def _confirmed(smooth, seen, shade, ratio):
     out = -slope[edge] / np.maximum(np.linalg.norm(slope[edge], axis=1), 1e-6)[:, None]
     step = np.zeros((len(place), 3))
     known, good = np.zeros((2, len(place)), bool)
-    for away in (EDGE, 2 * EDGE, 3 * EDGE):  # the edge of a blurred shadow is wide: the larger step counts
+    for away in (
+        EDGE,
+        2 * EDGE,
+        3 * EDGE,
+    ):  # the edge of a blurred shadow is wide: the larger step counts
         lit = tuple(np.rint(place + away * out).astype(int).T)
         dark = tuple(np.rint(place - away * out).astype(int).T)
         fits = seen[lit] & seen[dark] & ~shade[lit]
@@ -341,6 +347,7 @@ def _known_paint(smooth, lit, shade, step):
         known[shade] = np.isfinite(away).all(axis=1)
         of_them = color[tuple(some.T)][np.where(np.isfinite(away), near, 0)].mean(axis=1)
         lacks[shade] = of_them - color[shade]
+        known &= lacks @ LUMINANCE_WEIGHTS > -BRIGHTER
     wide = [ndimage.uniform_filter(v.astype(float), 2 * BAND + 1) for v in (known, shade)]
     share = np.clip(3 * wide[0] / np.maximum(wide[1], 1e-6) - 1, 0, 1) * shade
     return share, np.clip(_smoothed(lacks, known, NEAR_EDGES), *LACKS)
