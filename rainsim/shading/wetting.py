@@ -268,12 +268,17 @@ def ground_share(height, upness, layer):
 
 
 @inlined_function
+def bed_at(ground, u, v):
+    """Return the bed's height at column u and row v [m], beyond the map as at its border."""
+    return bilinear(ground.bed, max(ZERO, u), max(ZERO, v))  # in this order NaN gives 0
+
+
+@inlined_function
 def layer_at(ground, u, v):
     """Return the thickness of the splats about the bed at column u and row v [m]."""
     if ground.layer.shape[0] < 2:
         return ZERO
-    u, v = within(ground, u, v)
-    return bilinear(ground.layer, u, v)
+    return bilinear(ground.layer, max(ZERO, u), max(ZERO, v))  # in this order NaN gives 0
 
 
 @inlined_function
@@ -296,8 +301,7 @@ def on_bed(point, depth, drawn, x, y, z, ground):
     eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     layer = layer_at(ground, u, v)
-    u, v = within(ground, u, v)
-    bed = bilinear(ground.bed, u, v)
+    bed = bed_at(ground, u, v)
     share = ONE - smoothstep(layer, LAYER_END * layer, point.z - bed)
     share = share if layer > ZERO else ZERO
     if point.z < bed:  # nothing lies below the ground, whatever stands there
@@ -306,8 +310,7 @@ def on_bed(point, depth, drawn, x, y, z, ground):
         return point, drawn
     to = (bed - eye_z) / z
     u, v = map_place(eye_x + to * x, eye_y + to * y, ground.origin, ground.spacing)
-    u, v = within(ground, u, v)
-    to = (bilinear(ground.bed, u, v) - eye_z) / z
+    to = (bed_at(ground, u, v) - eye_z) / z
     e = depth + share * (to - depth)
     nx, ny, nz = (ONE - share) * point.nx, (ONE - share) * point.ny, point.nz
     nz += share * (ONE - nz)
@@ -347,10 +350,7 @@ def heights_of(point, solid, ground):
     """
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     inside = ground.thickest_layer > ZERO or is_on_map(u, v, ground.bed)
-    bed = ZERO
-    if inside and solid:
-        u, v = within(ground, u, v)
-        bed = bilinear(ground.bed, u, v)
+    bed = bed_at(ground, u, v) if inside & solid else ZERO
     return heights_over(bed, point.z, inside, solid)
 
 

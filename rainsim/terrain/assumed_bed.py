@@ -35,11 +35,12 @@ STANDS = 0.5  # m over the layer of the ground, up to which what begins there st
 # Power spectral density of the height of a road along a line, G (n / N0)^-2 [m3] at n waves per
 # metre: ISO 8608:2016, class C ("average"), geometric mean of its range.
 DENSITY, N0 = 256e-6, 0.1  # m3, 1/m
-WAVES = 4.0, 2.0, 1.0  # m, the octaves that are drawn: longer ones are slopes, shorter ones joints
+WAVES = 4.0, 2.0, 1.0  # m, the octaves that are drawn; longer ones are slopes
 OCTAVE = 2**0.5 - 2**-0.5  # integral of n^-2 over an octave about n, times n
 # Variance of the random coefficients over that of an octave: splines spread a part of it to longer
-# waves. The density is then met within 10 % from 0.2 to 1 wave per metre.
-COEFFICIENTS = 14.0
+# waves. The density is then met within 15 % from 0.2 to 0.6 waves per metre; shorter waves would
+# draw hollows of a hand's width, which joints and stones decide and not the bed.
+COEFFICIENTS = 20.0
 
 
 def scatter_of(above, position, cover, height):
@@ -328,7 +329,7 @@ def roughness(grid, seed=0):
     """Return the heights [m] of an average road over a grid, ndarray of shape (ny, nx), float32.
 
     They depend on the place alone, not on the grid: octaves of cubic splines whose coefficients are
-    random numbers on lattices through the origin. Under a straightedge of 3 m gaps are some 8 mm.
+    random numbers on lattices through the origin. Under a straightedge of 3 m gaps are some 6 mm.
     """
     x, y = grid.centres()
     height = np.zeros(grid.shape, np.float32)

@@ -129,8 +129,9 @@ def test_level_things_gloss_by_their_water_alone_where_tops_are_drawn():
 
     def gloss(height, tops_end):
         look = AS_CAPTURED._replace(tops_end=tops_end)
+        level = wetting.ground_share(np.float32(height), np.float32(1), np.float32(0))
         return wetting.rainy_color(
-            0.2, 0.15, 0.1, 1.0, 5.0, -0.3, 0.3, 1.0, height, wet, look
+            0.2, 0.15, 0.1, 1.0, 5.0, -0.3, 0.3, 1.0, height, level, wet, look
         )[3]  # fmt: skip
 
     assert gloss(0.7, 0.0) > 0.005 and gloss(0.7, 1.6) == 0
