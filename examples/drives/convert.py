@@ -20,16 +20,17 @@ from parts import scene_of
 import rainsim
 from rainsim.scene.folder import cameras_beside, locate, write_scene
 
-DAMAGE = (rainsim.RainsimError, OSError, LookupError, ValueError, RuntimeError, pickle.PickleError)
+DAMAGE = (
+    rainsim.RainsimError, OSError, LookupError, ValueError, RuntimeError, TypeError,
+    AttributeError, pickle.PickleError, ImportError,
+)  # fmt: skip
 
 
 def converted(given):
     """Return the Scene of what the command line names."""
     file, model = locate(given.model)
-    cameras, notes = (
-        rainsim.load_cameras(given.cameras) if given.cameras else cameras_beside(file, model)
-    )
-    cameras = street_gaussians.in_order(cameras)
+    found = rainsim.load_cameras(given.cameras) if given.cameras else cameras_beside(file, model)
+    cameras, notes = street_gaussians.in_order(found[0]), found[1]
     if file.suffix == ".pth":
         found = drivestudio.read(file, given.fps)
     else:
@@ -51,7 +52,7 @@ def main(words=None):
         scene = converted(given)
         write_scene(given.out, replace(scene, name=given.out.resolve().name))
     except DAMAGE as error:
-        parser.error(f"{given.model} or its data are not laid out as expected: {error!r}")
+        parser.error(f"{given.model} or its data cannot be read: {type(error).__name__}, {error}")
     print(*scene.notes, f"{len(scene.splats)} splats, {len(scene.actors)} actors", sep="\n")
 
 

@@ -21,11 +21,11 @@ def table_of(path):
 
 def read_tracks(data, cameras):
     """Return, by track, what `parts.actor` takes after the id; the first picture is at time 0."""
+    times = json.loads((data / "timestamps.json").read_text(encoding="utf-8"))["FRAME"]
+    times = {int(frame): time for frame, time in times.items()}
     poses = {int(path.stem): np.loadtxt(path).reshape(4, 4)
              for path in (data / "ego_pose").glob("*.txt") if path.stem.isdecimal()}  # fmt: skip
     middle = np.mean([pose[:3, 3] for pose in poses.values()], axis=0)  # the model's origin
-    times = json.loads((data / "timestamps.json").read_text(encoding="utf-8"))["FRAME"]
-    times = {int(frame): time for frame, time in times.items()}
     rows = table_of(data / "track/track_info.txt")
     pictures = [found for found in (PICTURE.match(c.name) for c in cameras) if found]
     frames = [int(m[1]) for m in pictures] or [0, *(int(row[0]) for row in rows)]

@@ -126,7 +126,7 @@ def test_data_that_are_refused(model, made, name, change, capsys):
     path.write_text(change(path.read_text()), encoding="utf-8")
     with pytest.raises(SystemExit):
         made(model[0], "--tracks", model[1])
-    assert "not laid out as expected" in capsys.readouterr().err.splitlines()[-1]
+    assert "cannot be read: " in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("degree_0", [False, True])
