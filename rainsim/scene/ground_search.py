@@ -9,7 +9,7 @@ import numpy as np
 
 from rainsim.errors import GroundError
 from rainsim.scene.level import CHANCE, FULL_SIGMAS, MISPLACED, SURE, GroundBelow, level_of
-from rainsim.scene.plane import ROUGHER, THRESHOLD, Plane, find_plane
+from rainsim.scene.plane import ROUGHER, THRESHOLD, Plane, find_plane, upright_planes
 
 UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that the user gives
 IMAGE_UP_ANGLE = math.radians(70)  # from image-up, which leans as far as a camera looks down
@@ -65,6 +65,11 @@ def ground_below(splats, cameras, up, seed):
         off = math.degrees(angle_between(level.up, up))
         notes.append(f"the cameras were held {off:.0f} degrees from the up that is given")
         level = None
+    if level is not None:
+        # Who looks at one front from one side tells its pitch by the path alone, which may climb.
+        walls = upright_planes(points, np.median(eyes, axis=0), level.up, reach, seed)
+        if len(walls):  # cameras that climb against them are not misplaced: the weights stay
+            level = level_of(cameras, reach, level.up, walls)._replace(weight=level.weight)
     hint, angle = up, UP_HINT_ANGLE
     if level is not None:
         hint, angle = level.up, max(LEVEL_ANGLE, 3 * level.deviation)

@@ -18,6 +18,7 @@ FEWEST = 4  # cameras that tell how they were held
 # climb of a path. Vertical lines of the photographs of three captures agree to .1, .4 and .7 degree
 # with the up that is fitted so.
 ROLL, PITCH, CLIMB = np.radians((3.0, 15.0, 1.5))
+WALL = np.radians(1.0)  # of a wall from upright; the walls of four captures have .1 to .7 degree
 DEVIATION = 1.4826  # standard deviation over the median of the absolute values
 ROUNDS = 20  # of the fit
 MISPLACED = 0.05  # weight below which a camera counts as misplaced
@@ -53,7 +54,7 @@ class Support(NamedTuple):
     height: float
 
 
-def level_of(cameras, reach, up=None):
+def level_of(cameras, reach, up=None, walls=()):
     """Return the `Level` of cameras; None if they are too few or do not agree on any up.
 
     Parameters
@@ -64,14 +65,17 @@ def level_of(cameras, reach, up=None):
         Distance to what they look at. A path that is short beside it says nothing.
     up : ndarray of shape (3,), optional
         Roughly up, unit; otherwise up in the pictures, or the views reversed where those look down.
+    walls : ndarray of shape (m, 3), optional
+        Unit normals of upright planes.
     """
     if len(cameras) < FEWEST:
         return None
     axes = np.array([camera.camera_from_world[:3, :3] for camera in cameras])
     eyes = np.array([camera.position for camera in cameras])
+    walls = np.reshape(walls, (-1, 3))
     if up is not None:
-        return _fitted(axes, eyes, reach, up)
-    held = [_fitted(axes, eyes, reach, first) for first in _likely_ups(axes)]
+        return _fitted(axes, eyes, reach, up, walls)
+    held = [_fitted(axes, eyes, reach, first, walls) for first in _likely_ups(axes)]
     # Image-up is level where pictures were taken straight down: then the path climbs along it.
     return min(held, key=lambda level: level.deviation, default=None)
 
@@ -86,7 +90,7 @@ def _likely_ups(axes):
     return found
 
 
-def _fitted(axes, eyes, reach, first):
+def _fitted(axes, eyes, reach, first, walls):
     """Return the `Level` near the direction `first`."""
     # Of a picture that was taken with the camera on its side the other axis is level.
     sideways = np.abs(axes[:, 0] @ first) > np.abs(axes[:, 1] @ first)
@@ -98,6 +102,7 @@ def _fitted(axes, eyes, reach, first):
         usual = max(float(np.median(np.linalg.norm(away, axis=1))), 1e-12)
         away *= (usual > LEAST_PATH * reach) / usual
         rows = np.concatenate([hand / roll, away / climb]) * np.sqrt(np.tile(weight, 2))[:, None]
+        rows = np.concatenate([rows, walls / WALL])
         told = (rows @ across).T @ rows @ across + np.eye(2) * max(weight.sum(), 1) / PITCH**2
         up = first - across @ np.linalg.solve(told, (rows @ across).T @ rows @ first)
         up /= np.linalg.norm(up)
