@@ -18,7 +18,7 @@ FEWEST = 4  # cameras that tell how they were held
 # climb of a path. Vertical lines of the photographs of three captures agree to .1, .4 and .7 degree
 # with the up that is fitted so.
 ROLL, PITCH, CLIMB = np.radians((3.0, 15.0, 1.5))
-WALL = np.radians(1.0)  # of a wall from upright; the walls of four captures have .1 to .7 degree
+WALL = np.radians(0.7)  # of a wall from upright; the walls of four captures have .3 to .9 degree
 DEVIATION = 1.4826  # standard deviation over the median of the absolute values
 ROUNDS = 20  # of the fit
 MISPLACED = 0.05  # weight below which a camera counts as misplaced
@@ -97,11 +97,16 @@ def _fitted(axes, eyes, reach, first, walls):
     hand = np.where(sideways[:, None], axes[:, 1], axes[:, 0])
     weight, up, roll, climb = np.ones(len(eyes)), first, ROLL, CLIMB
     across = np.linalg.svd(first[None])[2][1:].T  # (3, 2), of small turns
+    # A street's fall is one for all cameras: where walls tell, their path counts as one.
+    once = np.sqrt(len(eyes)) if len(walls) else 1.0
     for _ in range(ROUNDS):
         away = eyes - _median(eyes, weight)
         usual = max(float(np.median(np.linalg.norm(away, axis=1))), 1e-12)
         away *= (usual > LEAST_PATH * reach) / usual
-        rows = np.concatenate([hand / roll, away / climb]) * np.sqrt(np.tile(weight, 2))[:, None]
+        rows = (
+            np.concatenate([hand / roll, away / (climb * once)])
+            * np.sqrt(np.tile(weight, 2))[:, None]
+        )
         rows = np.concatenate([rows, walls / WALL])
         told = (rows @ across).T @ rows @ across + np.eye(2) * max(weight.sum(), 1) / PITCH**2
         up = first - across @ np.linalg.solve(told, (rows @ across).T @ rows @ first)
