@@ -66,10 +66,7 @@ def ground_below(splats, cameras, up, seed):
         notes.append(f"the cameras were held {off:.0f} degrees from the up that is given")
         level = None
     if level is not None:
-        # Who looks at one front from one side tells its pitch by the path alone, which may climb.
-        walls = upright_planes(points, np.median(eyes, axis=0), level.up, reach, seed)
-        if len(walls):  # cameras that climb against them are not misplaced: the weights stay
-            level = level_of(cameras, reach, level.up, walls)._replace(weight=level.weight)
+        level = _with_walls(level, cameras, points, reach, seed)
     hint, angle = up, UP_HINT_ANGLE
     if level is not None:
         hint, angle = level.up, max(LEVEL_ANGLE, 3 * level.deviation)
@@ -114,6 +111,19 @@ def ground_below(splats, cameras, up, seed):
             "cameras is taken"
         )
     return _level_plane(hint, eyes[placed], best), None, placed, notes
+
+
+def _with_walls(level, cameras, points, reach, seed):
+    """Return the `Level` of cameras and walls; as it is, if there are no walls.
+
+    Of cameras that look at one front from one side the path alone gives the pitch; it may climb.
+    """
+    eye = np.median([camera.position for camera in cameras], axis=0)
+    walls = upright_planes(points, eye, level.up, reach, seed)
+    if not len(walls):
+        return level
+    # Cameras that climb against the walls are not misplaced: the weights stay.
+    return level_of(cameras, reach, level.up, walls)._replace(weight=level.weight)
 
 
 def mean_image_up(cameras):

@@ -2,8 +2,8 @@
 
 A camera is held without roll, so its right-hand axis is level; the cameras of a walk are at about
 one height, so their path is level. Both are fitted together, with weights that fall with what is
-left over: a camera that a solver misplaced gets next to none. The splats then need to tell only
-how far below the cameras the ground lies.
+left over: a camera that a solver misplaced gets next to none. Upright walls are fitted with them.
+The splats then need to tell only how far below the cameras the ground lies.
 """
 
 from __future__ import annotations
@@ -103,11 +103,8 @@ def _fitted(axes, eyes, reach, first, walls):
         away = eyes - _median(eyes, weight)
         usual = max(float(np.median(np.linalg.norm(away, axis=1))), 1e-12)
         away *= (usual > LEAST_PATH * reach) / usual
-        rows = (
-            np.concatenate([hand / roll, away / (climb * once)])
-            * np.sqrt(np.tile(weight, 2))[:, None]
-        )
-        rows = np.concatenate([rows, walls / WALL])
+        rows = np.concatenate([hand / roll, away / (climb * once)])
+        rows = np.concatenate([rows * np.sqrt(np.tile(weight, 2))[:, None], walls / WALL])
         told = (rows @ across).T @ rows @ across + np.eye(2) * max(weight.sum(), 1) / PITCH**2
         up = first - across @ np.linalg.solve(told, (rows @ across).T @ rows @ first)
         up /= np.linalg.norm(up)
