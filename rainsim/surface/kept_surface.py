@@ -25,8 +25,11 @@ FEWEST = 100  # splats
 # of one that is sky if it is as bright or alone and about as blue.
 MOSTLY, LIKELY = 0.5, 0.3
 # What lies in pixels of the sky, times what a splat gives to others; at most this share of it is
-# seen where the sky hides it, so that it would come to light without.
-HIDDEN, VEILED = 0.7, 0.5
+# seen where the sky hides it, so that it would come to light without. Or so many cameras have it
+# hidden by the sky, for each to which it gives light elsewhere: it hangs before one camera.
+HIDDEN, VEILED, OFTENER, LEAST = 0.7, 0.5, 3, 3
+SPECK = 0.5  # px, of light from which on a camera sees a splat
+BELOW = -0.1  # sine of the elevation from the middle: lower is what the sky hides nowhere
 BRIGHT, ABOUT_SKY = 0.75, 1.8  # of the sky's luminance; logarithm of a channel off its colour
 EVERY = 2  # px: every so many pixels of every so many rows are asked
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
@@ -215,10 +218,14 @@ def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
     hides in the pictures, of any colour, would come to light once the sky is left out: needles.
     """
     frame, light = scene.ground_frame, np.zeros((len(position), 4))
+    lit, veiled = np.zeros((2, len(position)), np.int16)  # cameras
     for view, camera, part in pictures:
         height, width = view.depth.shape
         camera = camera.resized(width, height)
-        light += rasterizer.weigh(camera, NEAR / frame.meters_per_unit, part, EVERY)
+        one = rasterizer.weigh(camera, NEAR / frame.meters_per_unit, part, EVERY)
+        light += one
+        lit += one[:, 0] + one[:, 2] > SPECK
+        veiled += (one[:, 3] > SPECK) & (one[:, 1] < VEILED * one[:, 3])
     land, sky, beside, before_sky = light.T
     seen = land + sky + beside
     with np.errstate(invalid="ignore"):  # 0 / 0 of those that no camera sees, and absurd splats
@@ -232,8 +239,11 @@ def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
         alike = alone & (off < ABOUT_SKY)
         found = (sky / seen > MOSTLY) & (bright | alike | wide)
         likely = (sky / (land + sky) > LIKELY) & (bright | alike)
-    hidden = before_sky > HIDDEN * (land + beside)
-    hidden &= (sky < VEILED * before_sky) | alike | wide | (off < SAME)
+    high, hidden = direction[:, 2], before_sky > HIDDEN * (land + beside)
+    needle = hidden & (sky < VEILED * before_sky) & (before_sky > 4 * SPECK)
+    needle |= (veiled > OFTENER * lit) & (veiled >= LEAST)
+    hidden &= alike | wide | (off < SAME)
     unseen = (before_sky + seen == 0) & alone & (off < SAME)
     aloft = (land <= sky) & (before_sky > 0)
-    return found | ((likely | hidden | unseen) & (direction[:, 2] > 0)), aloft
+    found |= ((likely | hidden | unseen) & (high > 0)) | (needle & (high > BELOW))
+    return found, aloft
