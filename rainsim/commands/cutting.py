@@ -85,6 +85,7 @@ def cut_to_scene(status, file, model, out, given, resume):
     from rainsim.scene.cameras import cameras_to_data, load_cameras
     from rainsim.scene.folder import cameras_beside
     from rainsim.scene.formats import splat_blocks, trained_antialiased
+    from rainsim.scene.photographs import with_photographs
 
     cameras = given.get("cameras")
     cameras, notes = load_cameras(cameras) if cameras else cameras_beside(file, model)
@@ -97,8 +98,11 @@ def cut_to_scene(status, file, model, out, given, resume):
         out, blocks, tell=lambda done, total: status.progress(STAGE, done, total),
         antialiased=trained_antialiased(file), keep=Chunks(record, resume),
     )  # fmt: skip
-    given = given | {"cameras": cameras, "tracks": None, "track_fps": None}
+    beside, photos = given.get("cameras"), given.get("photos")
+    given = given | {"cameras": cameras, "tracks": None, "track_fps": None, "photos": None}
     scene = scene_of(str((out / LOD_META).resolve()), given)
+    keep = given.get("ground_frame") is not None
+    scene = with_photographs(scene, file, beside, photos, keep)
     name = model.resolve().name if file.stem in ("point_cloud", "meta") else file.stem
     scene = replace(scene, name=name, source=file, notes=(*scene.notes, *notes))
     say_scene(status, scene)

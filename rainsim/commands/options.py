@@ -121,6 +121,13 @@ ground_options = group(
         "USD, glTF or Blender is taken as --path.",
     ),
     click.option(
+        "--photos",
+        type=FOLDER,
+        metavar="DIR",
+        help="Photographs of the capture's cameras, if not in images/ or input/ beside it: their "
+        "GPS gives the scale, place and time the captured sun.",
+    ),
+    click.option(
         "--up",
         type=Numbers("x,y,z"),
         help="Direction that is roughly up, in the capture's own axes.",
@@ -133,7 +140,7 @@ ground_options = group(
         type=float,
         metavar="M",
         help="Scale from the cameras' mean height above the ground, in metres. "
-        "[default: 1.5, assumed]",
+        "[default: GPS of the photographs, else 1.5 is assumed]",
     ),
     click.option(
         "--known-length",

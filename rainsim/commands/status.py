@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import click
 
@@ -18,6 +19,7 @@ QUARTERS = 4  # without a terminal a stage reports this often at least
 BEAT = 10.0  # s after which it reports again, and a stage that cannot count says that it goes on
 TICK = 1.0  # s between looks at the clock
 LEAST_LEFT = 5.0  # s; less is not worth saying
+NEAR = 0.05  # m from a camera, within which nothing is drawn
 
 _pressed = threading.Event()  # Ctrl-C, in this command, and no interrupt has been seen since
 
@@ -321,6 +323,14 @@ def loaded_scene(status, name, given):
 
     status.progress(READING, 0, 1)
     scene = scene_of(name, given)
+    if any(scene.photographs):
+        from rainsim.raster import Rasterizer, prepare
+        from rainsim.scene.photographs import fidelity_notes
+
+        capture, near = Rasterizer(prepare(scene.splats)), NEAR / scene.ground_frame.meters_per_unit
+        own = {"depth": "median", "compensate": scene.antialiased}
+        notes = fidelity_notes(scene, lambda camera: capture.draw(camera, near, **own).color)
+        scene = replace(scene, notes=(*scene.notes, *notes))
     say_scene(status, scene)
     return scene
 

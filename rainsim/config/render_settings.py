@@ -14,16 +14,18 @@ FARTHEST = 1e12  # capture units, as `rainsim.io.files.MAX_LENGTH`
 
 
 def check_sun(name, value, unit):
-    """Raise ParameterError unless `value` is "sky" or an azimuth and an elevation [rad]."""
-    if value == "sky":
+    """Raise ParameterError unless `value` is an azimuth and an elevation [rad], or of sun "sky"."""
+    if name == "sun" and value == "sky":
         return
     azimuth, elevation = pair(name, value, "an azimuth and an elevation")
-    require_finite("sun azimuth", azimuth)
-    degrees = math.degrees(require_finite("sun elevation", elevation))
+    sun = name.replace("_", " ")
+    require_finite(f"{sun} azimuth", azimuth)
+    degrees = math.degrees(require_finite(f"{sun} elevation", elevation))
     if not 0 <= degrees <= 90 + 1e-9:
+        none = "give none" if name == "sun" else "give --relight off"
         raise ParameterError(
-            f"sun elevation is {rounded(degrees)} degrees; it must lie from 0 (horizon) to 90 "
-            "(zenith); for no sun give none"
+            f"{sun} elevation is {rounded(degrees)} degrees; it must lie from 0 (horizon) to 90 "
+            f"(zenith); for no sun {none}"
         )
     finite(low=-TURNS, high=TURNS)(name, azimuth, "rad")
 
@@ -68,8 +70,18 @@ class RenderConfig(Group):
         ),
         option=Option("sun", "AZIMUTH,ELEVATION|none|sky", help=
                       "direction of the sun in degrees, azimuth as for --wind; sky: the brightest "
-                      "spot of the sky. Also where --relight takes the captured sun to have stood, "
-                      "within 5 degrees"),
+                      "spot of the sky"),
+        touches=(LIGHT,))
+    captured_sun: tuple | None = setting(
+        None, rule=check_sun, keys=(
+            Key("captured_sun_azimuth_degrees", "degrees",
+                "direction of the sun that the capture was taken in, as the wind's; without it by "
+                "place and time of photographs, else looked for"),
+            Key("captured_sun_elevation_degrees", "degrees", "height of that sun, 0 to 90"),
+        ),
+        option=Option("captured_sun", "AZIMUTH,ELEVATION", "looked for", help=
+                      "where the sun stood when the capture was taken, in degrees as for --sun, "
+                      "within 5 degrees; --relight takes it away"),
         touches=(LIGHT,))
     daylight: float = setting(
         1.0, "daylight", "",

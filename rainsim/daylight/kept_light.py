@@ -29,11 +29,12 @@ def kept_relight(scene, config, found, white):
     clouds = max(config.at(time).render.cloudiness for time in config.key_times())
     if config.render.relight == "off" or clouds == 0 or scene.source is None:
         return NO_RELIGHT
-    sun = config.render.sun if isinstance(config.render.sun, tuple) else None
+    given = config.render.captured_sun
+    sun, shone = (given, True) if given is not None else (sun_by_clock(scene), False)
     white = math.exp(round(math.log(white) / ROUNDING) * ROUNDING)
     if not cache.folder():
-        return find_relight(scene, found, sun, white)
-    name = cache.name_of(KIND, scene.splats, scene.ground_frame, scene.cameras, sun, white)
+        return find_relight(scene, found, sun, white, shone)
+    name = cache.name_of(KIND, scene.splats, scene.ground_frame, scene.cameras, sun, white, shone)
     entry = cache.read(KIND, name)
     if entry:
         facts, arrays = entry
@@ -41,13 +42,21 @@ def kept_relight(scene, config, found, white):
         return Relight(
             arrays.get("gain"), facts["note"], direction, facts["ratio"], facts["confidence"]
         )
-    relight = find_relight(scene, found, sun, white)
+    relight = find_relight(scene, found, sun, white, shone)
     facts = {
         "note": relight.note, "confidence": relight.confidence, "ratio": relight.ratio,
         "sun": None if relight.sun is None else [float(x) for x in relight.sun],
     }  # fmt: skip
     cache.write(KIND, name, facts, {} if relight.gain is None else {"gain": relight.gain})
     return relight
+
+
+def sun_by_clock(scene):
+    """Return azimuth and elevation [rad] of the sun by the photographs' place and time, or None."""
+    if scene.captured_sun is None:
+        return None
+    x, y, z = scene.ground_frame.rotation @ scene.captured_sun
+    return math.atan2(y, x), math.asin(max(-1.0, min(1.0, float(z))))
 
 
 def covered_share(render):

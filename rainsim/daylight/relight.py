@@ -94,13 +94,14 @@ class Relight:
     confidence: float = 0.0
 
 
-def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
+def find_relight(scene, found, sun=None, white=USUAL_ALBEDO, shone=True):
     """Return the `Relight` of a capture.
 
     `found` is what its cameras show, None if there are too few splats. `sun`, azimuth and elevation
     [rad], is taken as it is, unless the shadows surely show where within 5 degrees of it the sun
     stood; without it the sun is found. `white` is the albedo that a captured linear colour of 1
-    stands for, on open level ground.
+    stands for, on open level ground. `shone` tells whether it is known that the given sun shone: a
+    clock says where it stood, and shadows must show that it shone.
     """
     if found is None or len(found.surface.position) < FEWEST:
         what = "too few splats" if found is None else "too little that its cameras agree on"
@@ -119,7 +120,7 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
     if len(places.pair) >= LEAST_PAIRS:
         direction, score = find_sun(places, solids, plane, near, given)
     measured, confidence = _measured(places, solids, plane, near, direction, score, sent)
-    if given is None:
+    if given is None or not shone:
         confidence *= _raised(measured.ratio[0] / max(measured.ratio[2], 1e-6), RED_OVER_BLUE)
     elif confidence < SURE:  # shadows name no better one
         direction = given
@@ -127,8 +128,8 @@ def find_relight(scene, found, sun=None, white=USUAL_ALBEDO):
         if confidence < SURE:
             measured = SunRatio(np.array(USUAL_RATIO), measured.pairs, measured.agree)
     facts = direction, tuple(map(float, measured.ratio)), confidence
-    if sun is None and confidence < SURE:
-        shown = _unsure(confidence, len(scene.cameras))
+    if confidence < SURE and (sun is None or not shone):
+        shown = _unsure(confidence, len(scene.cameras), sun)
         return Relight(None, f"relight: {shown}; {STAYS}", *facts)
     # Of the sun only those places tell whose plane the cameras agree on; light falls on the others
     # as on the walls that they belong to.
@@ -297,12 +298,17 @@ def _over_sky(measured, direction):
     return float(luminance(measured.ratio[None])[0]) * max(direction[2], 0.0)
 
 
-def _unsure(confidence, cameras):
-    """Return the note that no sun is sure in a capture with this number of cameras."""
+def _unsure(confidence, cameras, sun=None):
+    """Return the note that no sun is sure in a capture with this number of cameras.
+
+    `sun`, azimuth and elevation [rad], is where it stood if it shone.
+    """
     shown = f"no sure sign of sunshine in the capture (confidence {confidence:.2f})"
     if 0 < cameras < FEWEST_CAMERAS:
         shown += f"; too few cameras to see what throws shadows: {cameras} of the {FEWEST_CAMERAS} "
-        shown += "it takes (or give --sun)"
+        shown += "it takes (or give --captured-sun)"
+    if sun is not None:
+        shown += "; if it did shine, --captured-sun={:.0f},{:.0f}".format(*map(math.degrees, sun))
     return shown
 
 

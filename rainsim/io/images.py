@@ -7,6 +7,9 @@ and then renamed, so that what stood there before survives a failure.
 from __future__ import annotations
 
 import io
+import math
+import os
+import stat
 import warnings
 from pathlib import Path
 
@@ -168,6 +171,27 @@ def _decoded(path, read):
         raise InputError(
             f"{path} cannot be read as a picture ({fault}); it must be PNG or TIFF; write it again"
         ) from None
+
+
+def of_photograph(path, read):
+    """Return `read(picture)` of a photograph, a Pillow picture that is not unpacked yet.
+
+    InputError where `path` is no regular file (judged once it is open: nothing waits for a pipe or
+    a device), is no picture, or claims too many pixels.
+    """
+    from PIL import Image
+
+    try:
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+            found = os.fstat(file.fileno())
+            if not stat.S_ISREG(found.st_mode):
+                raise ValueError("no regular file")
+            with warnings.catch_warnings(action="ignore"), Image.open(file) as picture:
+                if math.prod(picture.size) > min(MOST_PIXELS, MOST_PIXELS_PER_BYTE * found.st_size):
+                    raise ValueError(f"{picture.width} x {picture.height} pixels")
+                return read(picture)
+    except Exception as error:  # Pillow raises whatever the damage leads to
+        raise InputError(f"{path} cannot be read as a photograph ({_first_line(error)})") from None
 
 
 def write_tiff(path, values):

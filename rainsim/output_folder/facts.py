@@ -43,6 +43,7 @@ def scene_content(scene):
         "sha256": scene.source_hash, "splats": len(scene.splats), "drains": scene.drains,
         "ground_frame": {name: frame[name] for name in frame if name != "notes"},
         "cameras": hash_of(cameras_to_data(scene.cameras)), "painted": scene.painted_hash,
+        **({"captured_sun": scene.captured_sun} if scene.captured_sun else {}),
     }  # fmt: skip
 
 

@@ -23,7 +23,6 @@ from rainsim.render.shutter import next_camera
 from rainsim.scene.view import pixel_rays
 from rainsim.shading import composite
 from rainsim.shading.dampness import find_dampness
-from rainsim.shading.wet_pass import dry_picture
 from rainsim.terrain.table import WATER
 
 MOST_INDEX = 2**16 - 1
@@ -127,7 +126,7 @@ def _normal(layers, view):
 def _wetness(layers, depth, view, scene):
     damp, now = np.empty(depth.shape, np.float32), scene.shading
     find_dampness(
-        depth, dry_picture(layers, scene.frame.meters_per_unit), now.look, view,
+        depth, scene.dry(layers), now.look, view,
         now.ground, now.off_ground, damp,
     )  # fmt: skip
     return damp

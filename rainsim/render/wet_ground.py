@@ -99,7 +99,15 @@ class WetGround:
         """The `GroundMaps` of the present time, as kernels take them."""
         grid = self.terrain.grid
         place = np.array(grid.origin, np.float32), np.float32(grid.spacing)
-        return GroundMaps(self.terrain.bed, self.map, *place, self.bodies.now)
+        layer = self.terrain.layer
+        return GroundMaps(
+            self.terrain.bed, self.map, *place, self.bodies.now, layer, self.thickest_layer
+        )
+
+    @property
+    def thickest_layer(self):
+        """Thickness of the splats about a poorly known bed, at most [m], float32; 0 elsewhere."""
+        return self.terrain.layer.max(initial=np.float32(0))
 
 
 def blurred_grass(terrain):

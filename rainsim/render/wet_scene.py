@@ -215,8 +215,13 @@ class WetScene:
     def depth_of(self, layers, view):
         """Return the depth of surfaces in splatted layers, see `find_surface_depth`."""
         depth = np.empty(layers.alpha.shape, np.float32)
-        find_surface_depth(dry_picture(layers, self.frame.meters_per_unit), view, depth)
+        find_surface_depth(self.dry(layers), view, self.ground.maps, depth)
         return depth
+
+    def dry(self, layers, mirrored=False):
+        """Return the `DryPicture` of splatted layers."""
+        layer = self.ground.thickest_layer
+        return dry_picture(layers, self.frame.meters_per_unit, mirrored, layer)
 
     def picture(self, camera, cover=NO_COVER):
         """Return the `WetPicture` that `camera` (capture frame) takes.
@@ -309,7 +314,7 @@ class WetScene:
         picture = np.empty((*shape, 3), np.float32)
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         grade_and_wet(
-            dry_picture(layers, self.frame.meters_per_unit, mirrored), view,
+            self.dry(layers, mirrored), view,
             *self._shading_of(mirrored), picture, depth, clearance, cover,
         )  # fmt: skip
         return WetPicture(picture, depth, clearance, view, picture)

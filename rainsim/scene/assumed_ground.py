@@ -14,14 +14,18 @@ import numpy as np
 from rainsim.errors import GroundError
 from rainsim.scene.ground import (
     ASSUMED_CAMERA_HEIGHT,
-    UP_HINT_ANGLE,
     check_hints,
     estimate_ground_frame,
     ground_axes,
-    mean_image_up,
     width_of,
 )
-from rainsim.scene.ground_search import ground_candidates, said, search_ground
+from rainsim.scene.ground_search import (
+    UP_HINT_ANGLE,
+    ground_candidates,
+    mean_image_up,
+    said,
+    search_ground,
+)
 from rainsim.scene.types import GroundFrame
 
 USUAL_UPS = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)  # COLMAP's, maps', glTF's
@@ -51,7 +55,7 @@ def assumed_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
         Roughly up; otherwise the flattest wide surface with most of the capture above it counts as
         level. Without such a surface it is the mean image-up of the cameras, or -y.
     meters_per_unit : float, optional
-        Otherwise the cameras stand 1.5 m above the ground, or the ground is 8 m wide.
+        Otherwise the cameras stand 1.8 m above the ground, or the ground is 8 m wide.
 
     Returns
     -------

@@ -13,6 +13,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.linalg import norm
 
 from rainsim.actors.actor import with_actors
 from rainsim.actors.actor_files import (
@@ -38,12 +39,7 @@ from rainsim.io.files import (
 )
 from rainsim.scene.assumed_ground import ground_frame_of
 from rainsim.scene.big import open_pages, require_home
-from rainsim.scene.cameras import (
-    JSON_FILES,
-    cameras_from_data,
-    cameras_to_data,
-    load_cameras,
-)
+from rainsim.scene.cameras import JSON_FILES, cameras_from_data, cameras_to_data, load_cameras
 from rainsim.scene.colmap import find_model
 from rainsim.scene.drivestudio import FRAMES_PER_SECOND, is_checkpoint, read_checkpoint
 from rainsim.scene.formats import META, SUFFIXES, read_splats, sha256_of, trained_antialiased
@@ -444,6 +440,7 @@ def scene_to_data(scene):
         **({"painted": True} if scene.painted is not None else {}),
         **({} if scene.pages is None else {"chunks": LOD_META}),
         **({"antialiased": True} if scene.antialiased else {}),
+        **({"captured_sun": scene.captured_sun} if scene.captured_sun else {}),
     }
 
 
@@ -460,6 +457,7 @@ def scene_from_data(data, splats, where, name=""):
         Of the scene, if the data have none.
     """
     cameras, notes = data.get("cameras"), data.get("notes")
+    sun = number_array(data.get("captured_sun"), (3,))
     return Scene(
         name=printable_name(data.get("name", name)),
         splats=splats,
@@ -469,6 +467,7 @@ def scene_from_data(data, splats, where, name=""):
         notes=tuple(map(one_line, notes)) if isinstance(notes, list) else (),
         drains=_read_drains(data.get("drains", []), where),
         antialiased=data.get("antialiased") is True,
+        captured_sun=None if sun is None or not sun.any() else tuple((sun / norm(sun)).tolist()),
     )
 
 

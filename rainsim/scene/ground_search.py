@@ -1,4 +1,4 @@
-"""The search for the ground among a capture's splats, in a radius that grows until it is found."""
+"""The search for the ground among a capture's splats, with what the cameras tell of level."""
 
 from __future__ import annotations
 
@@ -8,7 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.errors import GroundError
-from rainsim.scene.plane import ROUGHER, THRESHOLD, find_plane
+from rainsim.scene.level import CHANCE, FULL_SIGMAS, MISPLACED, SURE, GroundBelow, level_of
+from rainsim.scene.plane import ROUGHER, THRESHOLD, Plane, find_plane
+
+UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that the user gives
+IMAGE_UP_ANGLE = math.radians(70)  # from image-up, which leans as far as a camera looks down
+LEVEL_ANGLE = math.radians(3)  # from the cameras' level; three of its deviations, if that is more
+# A plane of splats of this confidence is taken as it is; a poorer one, unless the plane that is
+# level by the cameras has so many times its share of places with ground.
+SURE_PLANE, CLEARLY = 0.5, 1.25
+MOST_NAMED = 4  # misplaced cameras in a note
+LEAST_IMAGE_UP = 0.3  # mean of unit vectors; shorter means that the cameras do not agree
 
 LEAST_CONFIDENCE = 0.2  # below this a found plane is more likely something else
 MAX_POINTS = 120_000  # that the plane is fitted to; more cost time and change nothing
@@ -19,6 +29,116 @@ LEAST_SHARE = 0.1  # of the splats must be as near as the cameras, or the search
 START_SHARE = 0.4  # around one garden camera 0.2 sees lawn only, 2 degrees off; 0.4 is 0.2 off
 GROWTH = 1.5  # of the search radius when the ground is not within it
 LEAST_RADIUS = 1e-4  # of the farthest: where many splats are in one point a radius of 0 never grows
+
+
+def ground_below(splats, cameras, up, seed):
+    """Return the ground Plane below cameras, its middle, which cameras count, and notes.
+
+    Flat ground seen from all around is the best level. The sheets of splats before few cameras are
+    none: then the cameras tell what is level, and the splats how far below them the ground lies.
+    With `up` given some plane is always taken.
+
+    Parameters
+    ----------
+    splats : Splats
+    cameras : list of Camera
+        In the capture frame, at least one.
+    up : ndarray of shape (3,) or None
+        Roughly up, unit.
+    seed : int
+
+    Returns
+    -------
+    plane : Plane
+    centre : ndarray of shape (3,) [capture units]
+    placed : ndarray of shape (n,), bool
+        Which cameras are not misplaced.
+    notes : tuple of str
+    """
+    points, weights = ground_candidates(splats)
+    eyes = np.array([camera.position for camera in cameras])
+    reach = float(np.median(np.linalg.norm(points - np.median(eyes, axis=0), axis=1)))
+    level, placed, notes = level_of(cameras, reach), np.ones(len(eyes), bool), []
+    if level is None and up is not None:
+        level = level_of(cameras, reach, up)
+    if level is not None and up is not None and angle_between(level.up, up) > UP_HINT_ANGLE:
+        off = math.degrees(angle_between(level.up, up))
+        notes.append(f"the cameras were held {off:.0f} degrees from the up that is given")
+        level = None
+    hint, angle = up, UP_HINT_ANGLE
+    if level is not None:
+        hint, angle = level.up, max(LEVEL_ANGLE, 3 * level.deviation)
+        placed = level.weight >= MISPLACED
+        wrong = [camera.name for camera, fine in zip(cameras, placed, strict=True) if not fine]
+        if wrong:
+            more = ", ..." if len(wrong) > MOST_NAMED else ""
+            notes.append(
+                f"{len(wrong)} of {len(eyes)} cameras are misplaced and do not count for the "
+                f"ground: {', '.join(wrong[:MOST_NAMED])}{more}"
+            )
+    elif up is None:
+        hint = mean_image_up(cameras)
+        angle = math.pi if hint is None else IMAGE_UP_ANGLE
+    try:
+        sure = level is not None or up is not None
+        plane, centre = search_ground(splats, eyes[placed], hint, angle, seed, sure, ambiguous=sure)
+    except GroundError:
+        if not sure:
+            raise
+        plane, centre = None, None
+    if not sure:
+        return plane, centre, placed, notes
+    below, height, own = GroundBelow(points, weights, eyes[placed], hint), None, None
+    if plane is not None:
+        plane = replace(plane, rival=None)
+        height = float(np.median(plane.height(eyes[placed])))
+        own = below.support(height - plane.height(points), height)
+        if level is None or plane.confidence >= SURE_PLANE:
+            if level is not None and angle_between(plane.normal, hint) > 3 * level.deviation:
+                # The ground slopes, or what a few cameras look down on does.
+                plane = _level_plane(hint, eyes[placed], own)
+            return plane, centre, placed, notes
+    best = below.best(reach, height)
+    if own is not None and best.share <= CLEARLY * own.share:
+        return plane, centre, placed, notes
+    if own is None and best.sigmas < SURE:
+        if up is None:
+            raise _no_ground_below(best)
+        notes.append(
+            f"the ground is too poor to be found: the plane {best.height:.3g} units below the "
+            "cameras is taken"
+        )
+    return _level_plane(hint, eyes[placed], best), None, placed, notes
+
+
+def mean_image_up(cameras):
+    """Return the cameras' mean image-up, a unit vector; None if they do not agree, or without any.
+
+    They do not agree if pictures were taken with the camera on its side, all around.
+    """
+    if not len(cameras):
+        return None
+    mean = np.mean([camera.image_up for camera in cameras], axis=0)
+    length = np.linalg.norm(mean)
+    return None if length < LEAST_IMAGE_UP else mean / length
+
+
+def _level_plane(up, eyes, support):
+    """Return the Plane that is level by the cameras, at the height that its `support` says."""
+    confidence = float(np.clip(support.sigmas / FULL_SIGMAS, 0, 1))
+    return Plane(
+        up, support.height - float(np.median(eyes @ up)), confidence,
+        support=support.share + CHANCE, by_cameras=True,
+    )  # fmt: skip
+
+
+def _no_ground_below(support):
+    return GroundError(
+        "the ground cannot be found: no plane of splats lies below the cameras, and at no height "
+        f"below them lies more than chance puts there ({support.sigmas:.1f} deviations, {SURE:g} "
+        "count); --up x,y,z takes the plane below the cameras all the same, --ground-frame "
+        "FILE.json gives the whole frame"
+    )
 
 
 def search_ground(splats, eyes, up, max_angle, seed, up_given, ambiguous=False):
@@ -134,6 +254,11 @@ def said(direction):
 
 def reasons_of(plane):
     """Return a sentence with the figures behind a plane's confidence: support, peak and spread."""
+    if plane.by_cameras:
+        return (
+            f"level by the cameras; where they went, {plane.support:.0%} of the splats lie in the "
+            f"ground's layer, {CHANCE:.0%} by chance"
+        )
     ratio = plane.peak / max(1 - plane.peak, 1e-3)
     return (
         f"{plane.support:.0%} of the splats near by lie within {plane.threshold:.2g} units of it, "

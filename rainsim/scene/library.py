@@ -20,6 +20,7 @@ from rainsim.scene.folder import (
     scene_to_data,
 )
 from rainsim.scene.formats import SUFFIXES
+from rainsim.scene.photographs import with_photographs
 from rainsim.scene.types import Splats
 
 FOLDERS_VARIABLE = "RAINSIM_SCENES"  # folders of scenes, separated as in PATH
@@ -47,6 +48,7 @@ def load_scene(
     ground_frame=None,
     tracks=None,
     track_fps=None,
+    photos=None,
 ):
     """Load a scene by name or path.
 
@@ -59,6 +61,9 @@ def load_scene(
         are built-in streets of 300 m.
     cameras, up, meters_per_unit, camera_height, ground_frame, tracks, track_fps
         Override what the scene says; see `import_scene`.
+    photos : path-like, optional
+        Folder of the photographs of the capture's cameras, where it is not found beside the
+        capture; see `rainsim.scene.photographs`.
 
     Returns
     -------
@@ -88,6 +93,8 @@ def load_scene(
         own = {"tracks": tracks, "track_fps": track_fps}
         try:
             scene = import_scene(path, cameras=cameras, **own, **given)
+            given_frame = ground_frame is not None
+            scene = with_photographs(scene, path, cameras, photos, keep_scale=given_frame)
         except InputError as error:
             if str(name_or_path) not in BUILT_IN:
                 raise
@@ -97,11 +104,12 @@ def load_scene(
         if _is_name(name_or_path):
             scene = replace(scene, name=str(name_or_path))
         return scene
-    if cameras is not None:
-        raise ParameterError(
-            f"scene {name_or_path} is built in and has its own cameras; other cameras need a scene "
-            "of yours; leave the cameras out"
-        )
+    for own, its in ("cameras", cameras), ("photographs", photos):
+        if its is not None:
+            raise ParameterError(
+                f"scene {name_or_path} is built in and has its own cameras; other {own} need a "
+                f"scene of yours; leave the {own} out"
+            )
     scene = _built_in(str(name_or_path))
     note = (
         f"scene {name_or_path} is a generated stand-in, not a capture; a scene of that name in a "

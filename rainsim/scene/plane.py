@@ -51,6 +51,8 @@ class Plane:
         Share of the region across which the points in the slab lie.
     rival : Plane or None
         Another plane with as much support and another normal, if there is one.
+    by_cameras : bool
+        Whether it is level by the cameras, and only its height is that of splats.
     """
 
     normal: np.ndarray
@@ -61,6 +63,7 @@ class Plane:
     peak: float = 0.0
     spread: float = 0.0
     rival: Plane | None = None
+    by_cameras: bool = False
 
     def height(self, points):
         """Height of `points` of shape (..., 3) above the plane [capture units]."""

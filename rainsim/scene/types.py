@@ -266,6 +266,10 @@ class Scene:
         of the whole, by which the scene is known.
     antialiased : bool
         Whether the splats were trained to be weakened where a pixel widens them; they are drawn so.
+    captured_sun : tuple of 3 floats or None
+        Unit vector to the sun in the capture frame, as place and time of photographs have it.
+    photographs : tuple of (Path or None)
+        Of the cameras, in their order; empty if there are none.
 
     Examples
     --------
@@ -285,6 +289,8 @@ class Scene:
     painted: PaintedClasses | None = None
     pages: object = None
     antialiased: bool = False
+    captured_sun: tuple | None = None
+    photographs: tuple = ()
 
     @property
     def painted_hash(self):

@@ -31,12 +31,13 @@ from rainsim.sensors.lidar_model import (
 )
 from rainsim.sensors.near_drops import near_drops
 from rainsim.shading.color import LUMA, roughly_linear
-from rainsim.shading.wetting import FLAT, ON_GROUND, wet_ratio
+from rainsim.shading.wetting import FLAT, wet_ratio
 from rainsim.water.puddles import WET
 
 SOLID = 0.5  # alpha from which a beam has met a surface
 FIRST_SEGMENT = 1.0  # m of a beam that are searched at first
 COLOR_DEGREE = 4  # see `roughly_linear`
+ON_GROUND = 0.3  # m from the bed: a level surface that is farther is no ground
 LEAST_COSINE = 0.05  # that Lambert's law is taken at
 LIFT = 0.01  # m above the water, where a mirrored beam begins
 FARTHEST = 1e4  # m, for what a mirrored beam never meets

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from rainsim.constants import FAR_AWAY, ZERO
+from rainsim.constants import FAR_AWAY, ONE, ZERO
 from rainsim.jit import cpu_kernel, prange
+from rainsim.numerics.interpolation import map_place
 from rainsim.scene.view import View, column_slope, row_slope
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
@@ -11,8 +12,9 @@ from rainsim.shading.wet_pass import DryPicture, seen_surface
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import (
     GroundMaps,
+    ground_share,
     heights_of,
-    is_ground,
+    layer_at,
     wet_state,
     wetted_normal,
     with_normal,
@@ -51,10 +53,10 @@ def find_dampness(
             _, _, _, _, _, point = seen_surface(
                 turn, eye, column_slope(view, column), row_slope(view, row),
                 (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
-                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha,
+                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
             )  # fmt: skip
             clearance, above = heights_of(point, True, ground)
-            if not is_ground(clearance, point.nz):
+            if ground_share(clearance, point.nz, ZERO) < ONE:
                 n0, n1, n2 = smooth_normal(
                     dry.depth, normal, row, column, height, width, view.fx, dry.around / unit
                 )
@@ -63,5 +65,9 @@ def find_dampness(
                     alpha, look,
                 )  # fmt: skip
                 around = turned(turn, n0, n1, n2)
-                point = with_normal(point, wetted_normal(r, g, b, above, point, around))
-            damp_out[row, column] = wet_state(point, clearance, above, ground, rain).dampness
+                lean = wetted_normal(r, g, b, above, point, around, ground.thickest_layer)
+                point = with_normal(point, lean)
+            u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+            level = ground_share(above, point.nz, layer_at(ground, u, v))
+            wet = wet_state(point, clearance, above, level, ground, rain)
+            damp_out[row, column] = wet.dampness

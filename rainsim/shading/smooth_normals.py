@@ -18,6 +18,7 @@ NO_AROUND = np.float32(0)  # of pictures and rays that keep their own normals: a
 STEEPEST = np.float32(2)  # m of depth per m across, beyond which a pixel shows another surface
 STEPS = 4  # radii there are: 2, 4, 8 and 16 px
 SAMPLES = 9  # pixels that count: the middle and eight around it
+EACH = np.float32(1 / SAMPLES)
 
 
 @inlined_function
@@ -88,7 +89,7 @@ def smooth_normal(depth, normal, row, column, rows, columns, focal, around):
     Returns
     -------
     x, y, z : float32
-        Of any length.
+        Shorter than 1 where they differ, and at the edges of surfaces.
     """
     here = depth[row, column]
     step = step_of(focal, around, here)
@@ -102,4 +103,4 @@ def smooth_normal(depth, normal, row, column, rows, columns, focal, around):
         x += weight * normal[v, u, 0]
         y += weight * normal[v, u, 1]
         z += weight * normal[v, u, 2]
-    return x, y, z
+    return x * EACH, y * EACH, z * EACH

@@ -6,33 +6,39 @@ show that, labels do.
 
 from __future__ import annotations
 
-from rainsim.constants import SURFACE_ALPHA
+import math
+
+from rainsim.constants import ONE, SURFACE_ALPHA
 from rainsim.jit import cpu_kernel, prange
-from rainsim.scene.view import View
-from rainsim.shading.smooth_normals import turn_of, turned
-from rainsim.shading.wet_pass import NO_DEPTH, DryPicture, depth_of_surface
+from rainsim.scene.view import View, column_slope, row_slope
+from rainsim.shading.smooth_normals import turn_of
+from rainsim.shading.wet_pass import NO_DEPTH, DryPicture, seen_surface
+from rainsim.shading.wetting import GroundMaps
 
 
 @cpu_kernel
-def find_surface_depth(dry: DryPicture, view: View, depth_out):
-    """Write the depth at which each pixel's surface is wetted, see `depth_of_surface`.
+def find_surface_depth(dry: DryPicture, view: View, ground: GroundMaps, depth_out):
+    """Write the depth at which each pixel's surface is wetted, see `seen_surface`.
 
     Parameters
     ----------
     dry : DryPicture
     view : View
+    ground : GroundMaps
     depth_out : ndarray of shape (height, width), float32 [m]
         Along the view axis, infinite for the sky.
     """
     height, width = depth_out.shape
-    turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
+    turn, eye, normal, unit = (
+        turn_of(view.ground_from_camera), view.eye, dry.normal, dry.meters_per_unit
+    )  # fmt: skip
     for row in prange(height):
         for column in range(width):
-            _, _, upness = turned(
-                turn, normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
-            )
-            _, wetted = depth_of_surface(
-                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, upness
-            )
-            solid = dry.alpha[row, column] >= SURFACE_ALPHA
-            depth_out[row, column] = wetted if solid else NO_DEPTH
+            a, b, alpha = column_slope(view, column), row_slope(view, row), dry.alpha[row, column]
+            _, _, _, _, _, point = seen_surface(
+                turn, eye, a, b,
+                (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
+                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
+            )  # fmt: skip
+            depth = point.distance / math.sqrt(a * a + b * b + ONE)
+            depth_out[row, column] = depth if alpha >= SURFACE_ALPHA else NO_DEPTH

@@ -23,6 +23,7 @@ from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import (
     AROUND,
+    EACH,
     NO_AROUND,
     SAMPLES,
     STEPS,
@@ -42,9 +43,11 @@ from rainsim.shading.wetting import (
     SkyMaps,
     SurfacePoint,
     glossed,
+    ground_share,
     heights_over,
-    is_ground,
+    layer_at,
     mirror_cover,
+    on_bed,
     rainy_color,
     wet_pixel,
     wet_state,
@@ -64,7 +67,8 @@ from rainsim.shading.wetting import (
 # Heights as `heights_of` returns them, shares of gloss, of sky and of what is smooth of the gloss,
 # and places in maps: first the ground's column and row, then the environment's.
 (CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(20, 27))
-WETNESS = 27 * CHUNK  # as `store_wetness` writes it, a row for each field
+LEVEL = 27 * CHUNK  # how surely it is the ground, see `ground_share`
+WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
 NO_DEPTH = np.float32(np.inf)
@@ -95,14 +99,15 @@ class DryRays(NamedTuple):
     direction: np.ndarray  # (n, 3) float32, unit, ground frame
 
 
-def dry_picture(layers, meters_per_unit, mirrored=False):
+def dry_picture(layers, meters_per_unit, mirrored=False, layer=ZERO):
     """Return the `DryPicture` of `raster.Layers` with depths in capture units.
 
-    In mirrored ones each pixel keeps its own normal.
+    In mirrored ones each pixel keeps its own normal. The splats of poor ground fill a `layer` [m];
+    they lie as badly elsewhere, so that a wider neighbourhood counts.
     """
     return DryPicture(
         layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
-        np.float32(meters_per_unit), NO_AROUND if mirrored else AROUND,
+        np.float32(meters_per_unit), NO_AROUND if mirrored else max(AROUND, np.float32(layer)),
     )  # fmt: skip
 
 
@@ -198,10 +203,11 @@ def grade_row(
             depth[left:end], plane_depth[left:end],
             normals[row, 3 * left : 3 * end], dry.meters_per_unit, n, s,
         )  # fmt: skip
-        locate(view, b, left, n, s)
+        locate(view, b, left, n, ground, s)
         find_heights(ground, n, s, glossy, corner)
         if dry.around > ZERO:
-            take_normals_around(dry, normals, view, row, left, n, s, glossy)
+            take_normals_around(dry, normals, view, row, left, n, ground.thickest_layer, s, glossy)
+        find_levels(ground, n, s)
         find_wetness(ground, rain, n, s)
         color_pixels(look, mirror_apart, n, s)
         add_surroundings(sky, n, s, glossy, open_)
@@ -240,7 +246,7 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 
 
 @inlined_function
-def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha):
+def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
     """Return what a pixel of the capture shows: view direction, depths, cosine and place.
 
     Parameters
@@ -255,6 +261,7 @@ def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha):
     depth, plane_depth : float32 [m]
         As splatted.
     alpha : float32
+    ground : GroundMaps
 
     Returns
     -------
@@ -279,18 +286,21 @@ def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha):
     point = SurfacePoint(
         eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
     )
+    if ground.layer.shape[0] > 1 and e > ZERO:
+        point, d = on_bed(point, e, d, x, y, z, ground)
+        cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
     return x * inv, y * inv, z * inv, d, cosine, point
 
 
 @inlined_function
-def locate(view, b, left, n, s):
+def locate(view, b, left, n, ground, s):
     """Find where in the ground frame each pixel of a row at slope b is."""
     turn, eye = turn_of(view.ground_from_camera), (view.eye[0], view.eye[1], view.eye[2])
     for i in range(n):
         x, y, z, depth, cosine, point = seen_surface(
             turn, eye, column_slope(view, left + i), b,
             (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]), s[DEPTH + i], s[PLANE + i],
-            s[ALPHA + i],
+            s[ALPHA + i], ground,
         )  # fmt: skip
         s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x, y, z
         s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
@@ -314,9 +324,10 @@ def find_heights(ground, n, s, cell, corner):
     """Find the height over the ground of each pixel's surface: `heights_of` in vectors."""
     bed, origin, spacing = ground.bed, ground.origin, ground.spacing
     corner_of_map = origin[0], origin[1]
+    everywhere = ground.thickest_layer > ZERO
     for i in range(n):
         u, v = map_place(s[X + i], s[Y + i], corner_of_map, spacing)
-        s[HEIGHT + i] = ONE if is_on_map(u, v, bed) else ZERO
+        s[HEIGHT + i] = ONE if everywhere | is_on_map(u, v, bed) else ZERO
         s[ACROSS + i], s[DOWN + i] = u, v
     interpolate(bed, n, s, ACROSS, DOWN, cell, corner)
     for i in range(n):
@@ -326,7 +337,7 @@ def find_heights(ground, n, s, cell, corner):
 
 
 @inlined_function
-def take_normals_around(dry, normals, view, row, left, n, s, step):
+def take_normals_around(dry, normals, view, row, left, n, layer, s, step):
     """Replace the normals of pixels that show no ground by those of their neighbourhoods.
 
     In vectors what `smooth_normal` and `wetted_normal` do. `step` has room for a number a pixel.
@@ -335,9 +346,9 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
     radius = dry.around / dry.meters_per_unit
     found = 0
     for i in range(n):
-        level = is_ground(s[CLEARANCE + i], s[UPNESS + i])
+        level = ground_share(s[CLEARANCE + i], s[UPNESS + i], ZERO)
         here = dry.depth[row, left + i]
-        shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (not level)
+        shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (level < ONE)
         which = step_of(focal, radius, here)
         s[GLOSS + i], s[THROUGH + i] = here, sharpness(focal, which, here)
         step[i] = np.uint32(1 << which) if shown else np.uint32(0)
@@ -348,10 +359,12 @@ def take_normals_around(dry, normals, view, row, left, n, s, step):
             add_around(dry.depth, normals, row, left, n, k, s)
             for i in range(n):
                 if step[i] == np.uint32(1 << k):
-                    around = turned(turn, s[SMOOTH + i], s[ACROSS + i], s[DOWN + i])
+                    around = turned(
+                        turn, EACH * s[SMOOTH + i], EACH * s[ACROSS + i], EACH * s[DOWN + i]
+                    )
                     a, b, c = wetted_normal(
                         s[RED + i], s[GREEN + i], s[BLUE + i], s[HEIGHT + i],
-                        surface_point(s, i), around,
+                        surface_point(s, i), around, layer,
                     )  # fmt: skip
                     s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = a, b, c
                     s[COSINE + i] = -(a * s[VIEW_X + i] + b * s[VIEW_Y + i] + c * s[VIEW_Z + i])
@@ -390,10 +403,25 @@ def add_normals(depth, normal, first, n, s):
 
 
 @inlined_function
+def find_levels(ground, n, s):
+    """Find how surely each pixel shows the ground."""
+    for i in range(n):
+        s[LEVEL + i] = ZERO
+    if ground.layer.shape[0] > 1:
+        for i in range(n):
+            u, v = map_place(s[X + i], s[Y + i], ground.origin, ground.spacing)
+            s[LEVEL + i] = layer_at(ground, u, v)
+    for i in range(n):
+        s[LEVEL + i] = ground_share(s[HEIGHT + i], s[UPNESS + i], s[LEVEL + i])
+
+
+@inlined_function
 def find_wetness(ground, rain, n, s):
     """Find how wet each pixel's surface is: `wet_state` in vectors."""
     for i in range(n):
-        wet = wet_state(surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], ground, rain)
+        wet = wet_state(
+            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], ground, rain
+        )
         store_wetness(wet, s, WETNESS + i, CHUNK)
 
 
@@ -411,12 +439,11 @@ def color_pixels(look, mirror_apart, n, s):
     for i in range(n):
         r, g, b, gloss, through, smooth = rainy_color(
             s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[VIEW_Z + i], s[COSINE + i],
-            s[UPNESS + i], s[HEIGHT + i], stored_wetness(s, WETNESS + i, CHUNK), look,
+            s[UPNESS + i], s[HEIGHT + i], s[LEVEL + i], stored_wetness(s, WETNESS + i, CHUNK), look,
         )  # fmt: skip
         s[RED + i], s[GREEN + i], s[BLUE + i], s[THROUGH + i] = r, g, b, through
         s[SMOOTH + i] = smooth
-        level = is_ground(s[HEIGHT + i], s[UPNESS + i])
-        s[GLOSS + i] = ZERO if mirror_apart and level else gloss
+        s[GLOSS + i] = gloss * (ONE - s[LEVEL + i]) if mirror_apart else gloss
 
 
 @inlined_function
@@ -485,8 +512,8 @@ def write_cover(ground, look, n, s, cover_out):
     """Write the share of a full water film on level ground."""
     for i in range(n):
         cover_out[i] = ZERO
-        if is_ground(s[HEIGHT + i], s[UPNESS + i]):
+        if s[LEVEL + i] > ZERO:
             cover_out[i] = mirror_cover(
-                surface_point(s, i), s[CLEARANCE + i], stored_wetness(s, WETNESS + i, CHUNK),
-                ground, look,
+                surface_point(s, i), s[CLEARANCE + i], s[LEVEL + i],
+                stored_wetness(s, WETNESS + i, CHUNK), ground, look,
             )  # fmt: skip

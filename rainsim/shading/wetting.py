@@ -53,8 +53,17 @@ GRAZING = np.float32(0.02)  # least cosine that Fresnel's factor is taken at
 # The same of leaves: one on edge fills no pixel, and the normal there is that of others. By eye.
 LEAF_GRAZING = np.float32(0.5)
 
-FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level ground
-ON_GROUND = np.float32(0.3)  # m over the bed: a surface that is higher is no ground
+UNLIKE, ALIKE = (
+    np.float32(0.4),
+    np.float32(0.8),
+)  # length of the mean of noisy normals; of fair ones
+FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level
+LEANS = np.float32(0.1)  # the same below which a surface counts as upright
+# Heights over the bed [m]: up to the first all is ground, from the second on what is upright is
+# not; up to the third what is level is ground, from the fourth on nothing is.
+FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
+LAYER_END = np.float32(1.5)  # the same over the thickness of a layer of splats about a poor bed
+NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
 WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
 TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
 OPEN_LOW, OPEN_HIGH = np.float32(-0.12), np.float32(-0.06)  # sines from which an open sky shows
@@ -70,6 +79,10 @@ class GroundMaps(NamedTuple):
     origin: np.ndarray  # (2,) float32 [m], corner of the first cell
     spacing: np.float32  # m
     bodies: np.ndarray = NO_BODIES  # (ny, nx, 3) or (0, 0, 3) uint8, see `bodies.body_map`
+    # How far from a poorly known bed the splats lie that show it, float32 [m], (ny, nx), less than
+    # two rows where it is known; and the most of it. See `on_bed`.
+    layer: np.ndarray = NO_LAYER
+    thickest_layer: np.float32 = ZERO
 
 
 class SkyMaps(NamedTuple):
@@ -167,6 +180,14 @@ def wet_channel(value, amount, porosity, look):
 
 
 @inlined_function
+def within(ground, u, v):
+    """Return the column and row of the map that are nearest to u, v; 0 for NaN."""
+    # In this order NaN gives 0.
+    u = min(np.float32(ground.wetness.shape[1]) - TO_BORDER, max(ZERO, u))
+    return u, min(np.float32(ground.wetness.shape[0]) - TO_BORDER, max(ZERO, v))
+
+
+@inlined_function
 def on_ground(ground, u, v):
     """Return the `Wetness` of the ground at column u and row v, which lie within the map."""
     i, j = int(u), int(v)
@@ -185,11 +206,12 @@ def body_of(point, clearance, ground):
     if ground.bodies.shape[0] < 2 or not clearance < TALLER:
         return ZERO
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+    u, v = within(ground, u, v)
     return body_share(ground.bodies, u, v, clearance, point.nz)
 
 
 @inlined_function
-def wetted_normal(r, g, b, height, point, around):
+def wetted_normal(r, g, b, height, point, around, layer):
     """Return the normal by which a surface gets wet and mirrors; see `smooth_normals`.
 
     Parameters
@@ -201,15 +223,22 @@ def wetted_normal(r, g, b, height, point, around):
     point : SurfacePoint
         With the pixel's own normal.
     around : tuple of 3 float32
-        That of its neighbourhood, of any length.
+        Mean of its neighbourhood, the shorter the more normals differ there.
+    layer : float32 [m]
+        Thickness of the splats about a bed that is poorly known, 0 elsewhere.
     """
     x, y, z = around
     square = x * x + y * y + z * z
-    inv = ONE / math.sqrt(max(square, np.float32(1e-12)))
+    length = math.sqrt(max(square, np.float32(1e-12)))
+    inv = ONE / length
     x, y, z = x * inv, y * inv, z * inv
     leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
-    known = square > np.float32(1e-6) and not is_ground(height, max(point.nz, z))
-    leaf = leaf if known else ONE
+    if layer > ZERO:
+        # Normals are noise there: a wall is upright, leaves face any way.
+        sure = smoothstep(UNLIKE, ALIKE, length)
+        z, leaf = sure * z + (ONE - sure) * leaf * HALF, ZERO
+    leaf = max(leaf, ground_share(height, max(point.nz, z), ZERO))
+    leaf = leaf if square > np.float32(1e-6) else ONE
     x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
     inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-6))
     return x * inv, y * inv, z * inv
@@ -224,12 +253,68 @@ def with_normal(point, normal):
 
 
 @inlined_function
-def is_ground(height, upness):
-    """Tell whether a surface at a height [m] over the bed is the ground: low and level.
+def ground_share(height, upness, layer):
+    """Return how surely a surface at a height [m] over the bed is the ground, 0 to 1.
 
-    `upness` is the cosine of its normal to the vertical.
+    What is low is ground, however its splats lie; what is somewhat higher is if it is level. A step
+    of the cosine `upness` to the vertical would draw the noise of normals as patches. `layer` is
+    the thickness of the splats about a bed that is poorly known [m], 0 elsewhere.
     """
-    return (height < ON_GROUND) & (upness > FLAT)
+    foot = ONE - smoothstep(max(FOOT, layer), max(FOOT_END, LAYER_END * layer), height)
+    low = ONE - smoothstep(max(LOW, layer), max(HIGH, LAYER_END * layer), height)
+    return max(foot, low * smoothstep(LEANS, FLAT, upness))
+
+
+@inlined_function
+def layer_at(ground, u, v):
+    """Return the thickness of the splats about the bed at column u and row v [m]."""
+    if ground.layer.shape[0] < 2:
+        return ZERO
+    u, v = within(ground, u, v)
+    return bilinear(ground.layer, u, v)
+
+
+@inlined_function
+def on_bed(point, depth, drawn, x, y, z, ground):
+    """Return a surface point, its depth and the drawn depth, moved to the bed if it shows that.
+
+    Splats of poor ground lie before or behind it. The ray that shows one shows the ground where it
+    meets the bed, and the ground faces up.
+
+    Parameters
+    ----------
+    point : SurfacePoint
+    depth, drawn : float32 [m]
+        Along the view axis: of the point, and of what is drawn.
+    x, y, z : float32
+        Way [m] along the ray for a metre of depth; the point is `depth` of it from the eye.
+    ground : GroundMaps
+        Its bed is poorly known.
+    """
+    eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
+    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+    layer = layer_at(ground, u, v)
+    u, v = within(ground, u, v)
+    bed = bilinear(ground.bed, u, v)
+    share = ONE - smoothstep(layer, LAYER_END * layer, point.z - bed)
+    share = share if layer > ZERO else ZERO
+    if point.z < bed:  # nothing lies below the ground, whatever stands there
+        share = ONE
+    if not (share > ZERO and z < ZERO and eye_z > bed):
+        return point, drawn
+    to = (bed - eye_z) / z
+    u, v = map_place(eye_x + to * x, eye_y + to * y, ground.origin, ground.spacing)
+    u, v = within(ground, u, v)
+    to = (bilinear(ground.bed, u, v) - eye_z) / z
+    e = depth + share * (to - depth)
+    nx, ny, nz = (ONE - share) * point.nx, (ONE - share) * point.ny, point.nz
+    nz += share * (ONE - nz)
+    inv = ONE / max(math.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-6))
+    place = SurfacePoint(
+        eye_x + e * x, eye_y + e * y, eye_z + e * z, nx * inv, ny * inv, nz * inv,
+        point.distance * (e / depth),
+    )  # fmt: skip
+    return place, drawn + share * (to - drawn)
 
 
 @inlined_function
@@ -253,31 +338,49 @@ def heights_of(point, solid, ground):
     Returns
     -------
     clearance : float32 [m]
-        Height over the bed; FAR_AWAY off the map and without a surface.
+        Height over the bed; FAR_AWAY without a surface, and off the map. Poorly known ground goes
+        on beyond the map as at its border.
     height : float32 [m]
         The same, but off the map the height over the ground plane.
     """
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-    inside = is_on_map(u, v, ground.bed)
-    bed = bilinear(ground.bed, u, v) if inside & solid else ZERO
+    inside = ground.thickest_layer > ZERO or is_on_map(u, v, ground.bed)
+    bed = ZERO
+    if inside and solid:
+        u, v = within(ground, u, v)
+        bed = bilinear(ground.bed, u, v)
     return heights_over(bed, point.z, inside, solid)
 
 
 @inlined_function
-def wet_state(point, clearance, height, ground, rain):
-    """Return how wet a surface is; the heights are those of `heights_of`."""
-    if is_ground(clearance, point.nz):
-        u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-        return on_ground(ground, u, v)
-    if height < FAR_AWAY:
+def wet_state(point, clearance, height, level, ground, rain):
+    """Return how wet a surface is that is ground by a share `level`.
+
+    The heights are those of `heights_of`.
+    """
+    if not height < FAR_AWAY:
+        return Wetness(ZERO, ZERO, ZERO, ZERO)
+    mapped = level if clearance < FAR_AWAY else ZERO
+    off = Wetness(ZERO, ZERO, ZERO, ZERO)
+    if mapped < ONE:
         body = body_of(point, clearance, ground)
-        return off_ground(rain, damp_off_ground(rain, point, height, body), body)
-    return Wetness(ZERO, ZERO, ZERO, ZERO)
+        off = off_ground(rain, damp_off_ground(rain, point, height, body), body)
+    if mapped == ZERO:
+        return off
+    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+    u, v = within(ground, u, v)
+    on, rest = on_ground(ground, u, v), ONE - mapped
+    return Wetness(
+        mapped * on.lawn + rest * off.lawn, mapped * on.dampness + rest * off.dampness,
+        mapped * on.film + rest * off.film, mapped * on.porosity + rest * off.porosity,
+    )  # fmt: skip
 
 
 @inlined_function
-def mirror_cover(point, clearance, wet, ground, look):
-    """Return the share of a full water film on level ground at a point, times `look.wetness`.
+def mirror_cover(point, clearance, level, wet, ground, look):
+    """Return the share of a full water film at a point, times `look.wetness`.
+
+    A share `level` of the point is ground.
 
     `clearance` is that of `heights_of`, `wet` that of `wet_state`. Off the map the film is that at
     the border.
@@ -285,15 +388,14 @@ def mirror_cover(point, clearance, wet, ground, look):
     lawn, film = wet.lawn, wet.film
     if not clearance < FAR_AWAY:
         u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-        u = min(max(u, ZERO), np.float32(ground.wetness.shape[1]) - TO_BORDER)
-        v = min(max(v, ZERO), np.float32(ground.wetness.shape[0]) - TO_BORDER)
+        u, v = within(ground, u, v)
         border = on_ground(ground, u, v)
         lawn, film = border.lawn, border.film
-    return look.wetness * film * (TWO * point.nz - ONE) * (ONE - lawn)
+    return level * look.wetness * film * max(TWO * point.nz - ONE, ZERO) * (ONE - lawn)
 
 
 @inlined_function
-def rainy_color(r, g, b, alpha, sine, cosine, upness, height, wet, look):
+def rainy_color(r, g, b, alpha, sine, cosine, upness, height, level, wet, look):
     """Return a captured surface's colour in the rain, and the shares of gloss and of sky.
 
     Level surfaces gloss as rough stone does. A leaf is a mirror of its own: its facet reflects by
@@ -315,6 +417,8 @@ def rainy_color(r, g, b, alpha, sine, cosine, upness, height, wet, look):
         Cosine between its normal and the vertical.
     height : float32 [m]
         Over the ground.
+    level : float32
+        How surely it is the ground, see `ground_share`.
     wet : Wetness
     look : Look
 
@@ -330,14 +434,12 @@ def rainy_color(r, g, b, alpha, sine, cosine, upness, height, wet, look):
     gloss, smooth = ZERO, ZERO
     r, g, b = graded(r, g, b, look)
     if wet.dampness > ZERO:
-        leaf, coat = ZERO, ZERO
-        if not is_ground(height, upness):
-            leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
-            coat = (ONE - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
+        thing = ONE - level
+        leaf = thing * smoothstep(GREENISH, GREEN, greenness(r, g, b))
+        coat = (thing - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
         smooth = MIRROR if coat > leaf else leaf
         gloss = (ONE - leaf - coat) * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
-        if height > ON_GROUND:  # the film on things is broken; by eye
-            gloss *= HALF if height > look.tops_end else ZERO
+        gloss *= level + thing * (HALF if height > look.tops_end else ZERO)  # broken; by eye
         # What is low mirrors the road below the thing itself, which is dark.
         coat_gloss = coat * smoothstep(ZERO, SHADOWED, height)
         film = wet.film * look.wetness
@@ -347,8 +449,9 @@ def rainy_color(r, g, b, alpha, sine, cosine, upness, height, wet, look):
         if gloss > ZERO:
             least = GRAZING + leaf * (LEAF_GRAZING - GRAZING) + coat * (COAT_GRAZING - GRAZING)
             share = reflectance(look.law, max(cosine, least))
-            if height > ON_GROUND:  # blended normals at edges look grazed, which they are not
-                share *= smoothstep(ZERO, EDGE_COSINE + coat * (COAT_EDGE - EDGE_COSINE), cosine)
+            # Blended normals at the edges of things look grazed, which they are not.
+            edge = smoothstep(ZERO, EDGE_COSINE + coat * (COAT_EDGE - EDGE_COSINE), cosine)
+            share *= level + thing * edge
             gloss *= share
             out = ONE - covered * share  # what the coat lets out to the eye
             r, g, b = r * out, g * out, b * out
@@ -411,16 +514,20 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
     x, y, z = ray
     clearance, height = heights_of(point, alpha >= SURFACE_ALPHA, ground)
     r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
-    point = with_normal(point, wetted_normal(r, g, b, height, point, around))
-    wet = wet_state(point, clearance, height, ground, rain)
+    normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
+    point = with_normal(point, normal)
+    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+    level = ground_share(height, point.nz, layer_at(ground, u, v))
+    wet = wet_state(point, clearance, height, level, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
-        r, g, b, alpha, z, cosine, point.nz, height, wet, look
+        r, g, b, alpha, z, cosine, point.nz, height, level, wet, look
     )
     cover = ZERO
-    if mirror_apart and is_ground(height, point.nz):
-        cover = mirror_cover(point, clearance, wet, ground, look)
-    elif gloss > ZERO:
+    if mirror_apart and level > ZERO:
+        cover = mirror_cover(point, clearance, level, wet, ground, look)
+        gloss *= ONE - level
+    if gloss > ZERO:
         u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, smooth)
         e0, e1, e2 = sample_environment(sky.coat if smooth > ONE else sky.gloss, u, v, w)
         r, g, b = r + gloss * e0, g + gloss * e1, b + gloss * e2

@@ -55,8 +55,8 @@ class SkyColors:
         known = _highest_part(color)
         if _median_of(spread, known) > EQUAL:
             for _ in range(ROUNDS):
-                told = known & np.isfinite(spread)
-                self.exposure = _exposures(len(views), camera, texel, seen, color, told)
+                several = known & np.isfinite(spread)
+                self.exposure = _exposures(len(views), camera, texel, seen, color, several)
                 color, spread = _median_map(texel, seen - self.exposure[camera, None])
                 known = _highest_part(color)
         self.color = _completed(color, spread, known)
@@ -205,13 +205,13 @@ def _median_map(texel, seen):
 
 
 def _median_of(spread, known):
-    """Return the median of how far cameras differ in known texels, 0 where none are told."""
-    told = known & np.isfinite(spread)
-    return np.median(spread[told]) if told.any() else 0.0
+    """Return the median of how far cameras differ in known texels, 0 where no two saw any."""
+    both = known & np.isfinite(spread)
+    return np.median(spread[both]) if both.any() else 0.0
 
 
-def _exposures(count, camera, texel, seen, color, told):
-    """Return the logarithm by which each camera is brighter than the map, where `told`.
+def _exposures(count, camera, texel, seen, color, several):
+    """Return the logarithm by which each camera is brighter than the map, where `several` saw it.
 
     One factor must do for all channels of many texels. Walls that differ from the sky by one factor
     are many, too: of such factors the least is taken. 0 without any.
@@ -219,7 +219,7 @@ def _exposures(count, camera, texel, seen, color, told):
     exposure = np.zeros(count)
     more = seen - color.reshape(-1, 3)[texel]
     for n in np.unique(camera):
-        own = more[(camera == n) & told.ravel()[texel]]
+        own = more[(camera == n) & several.ravel()[texel]]
         factor = own.mean(axis=1)
         alike = np.abs(own[:, None] - factor[:, None]).max(axis=-1) < STEP  # of texel, to factor
         good = alike.sum(axis=0) >= max(SAME_EXPOSURE * len(own), LEAST_TEXELS / 2)

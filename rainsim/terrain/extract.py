@@ -18,15 +18,23 @@ from rainsim.lod.held_parts import scene_over
 from rainsim.scene.types import Camera, pose_at
 from rainsim.surface.kept_surface import kept_surface
 from rainsim.surface.sweep import ground_sweep
+from rainsim.terrain import assumed_bed, filters
 from rainsim.terrain import bed as bedding
-from rainsim.terrain import filters
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains, painted_mask
 from rainsim.terrain.map_size import choose_grid
 from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, SLAB, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.tops import find_tops, note_of
-from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
+from rainsim.terrain.types import (
+    GAP_HEIGHT,
+    INFERRED,
+    MEASURED,
+    NO_TOPS,
+    UNKNOWN,
+    Grid,
+    Terrain,
+)
 
 MIN_SEEN_ALPHA = 0.5  # of a cell from above: with less its height is unknown
 OCCLUDER_HEIGHT = 0.10  # m above the ground from which something shelters it
@@ -76,7 +84,7 @@ def extract_terrain(scene, config, mask=None, tell=None):
                 maps[name][core] = values[inner]
     source, bed, top, underside = (maps[n] for n in ("source", "bed", "top", "underside"))
     seen = np.mean(source != UNKNOWN)
-    if seen < LEAST_GROUND:
+    if seen < LEAST_GROUND and (cloud.poor is None or not seen):
         raise GroundError(
             f"only {seen:.1%} of the map of {grid.size[0]:g} x {grid.size[1]:g} m shows "
             f"ground within {SLAB:g} m of the ground plane, from {len(scene.splats):,} splats; "
@@ -90,8 +98,12 @@ def extract_terrain(scene, config, mask=None, tell=None):
         np.copyto(top, bed, where=filled & ~stands)
         np.copyto(underside, bed, where=filled & (underside < bed + water + GAP_HEIGHT))
     terrain = Terrain(grid, **maps, water=water)
+    tops = NO_TOPS
+    if cloud.poor is None:
+        tops = find_tops(terrain, scene)
+    else:
+        terrain = replace(terrain, layer=cloud.poor.layer_map(grid, top > bed))
     removed = int(np.count_nonzero(left_out))
-    tops = find_tops(terrain, scene)
     step()
     notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes, *note_of(tops))
     return replace(terrain, notes=notes, tops=tops)
@@ -205,19 +217,28 @@ def _piece(scene, cloud, piece, mask, step):
     near = cloud.near_bed & over
     ground = cloud.look(near, grid)
     step()
-    known = ground.alpha > MIN_SEEN_ALPHA
-    off = _floaters(cloud, ground, grid) & near if known.any() else np.zeros_like(near)
-    kept = near & ~off
-    if off.any():
-        ground = cloud.look(kept, grid)
+    off = np.zeros_like(near)
+    if cloud.poor is not None:
+        step()
+        bed, source, noise, color, green = cloud.poor.bed(ground, grid)
+    else:
+        if (ground.alpha > MIN_SEEN_ALPHA).any():
+            off = _floaters(cloud, ground, grid) & near
+        kept = near & ~off
+        if off.any():
+            ground = cloud.look(kept, grid)
+        step()
+        below = cloud.look(kept, grid, from_below=True)
+        bed, source, noise, color, green = _bed(ground, below, grid, cloud.level, cloud.sweep)
     step()
-    below = cloud.look(kept, grid, from_below=True)
-    bed, source, noise, color, green = _bed(ground, below, grid, cloud.level, cloud.sweep)
-    step()
-    upper = cloud.look(cloud.below_ceiling & over, grid)
-    step()
-    lower = cloud.look(cloud.overhead & over, grid, from_below=True)
-    top, underside = _cover(upper, lower, bed, grid.cell_area)
+    if cloud.poor is not None:
+        step()
+        top, underside = cloud.poor.cover(cloud.places, grid, bed, cloud.top)
+    else:
+        upper = cloud.look(cloud.below_ceiling & over, grid)
+        step()
+        lower = cloud.look(cloud.overhead & over, grid, from_below=True)
+        top, underside = _cover(upper, lower, bed, grid.cell_area)
     step()
     classes = classify(bed, top, source, noise, color, green, grid.spacing)
     classes = mark_drains(classes, grid, scene)
@@ -225,7 +246,7 @@ def _piece(scene, cloud, piece, mask, step):
         classes = np.where(np.asarray(mask) >= 0, mask, classes).astype(np.uint8)
     bed = bedding.lower_rim(bed, classes == HARD, classes == GRASS, grid.spacing)
     # The soil under grass lies lower; what stands in the grass stands on it.
-    soil = cloud.soil(bed, classes, grid)
+    soil = bed if cloud.poor is not None else cloud.soil(bed, classes, grid)
     lowered = soil < bed
     step()
     return {
@@ -250,6 +271,11 @@ def _report(terrain, removed, mask):
         f"ground measured {shares[0]:.0%}, inferred {shares[1]:.0%}, unknown {shares[2]:.0%}; "
         f"noise of the paving {terrain.hard_noise * 1e3:.2f} mm"
     )
+    if terrain.layer.size:
+        yield (
+            f"PUDDLES ARE ASSUMED: the splats of the ground lie up to {terrain.layer.max():.2g} m "
+            "off it, so its bed is even but for the roughness of an average road (ISO 8608, C)"
+        )
     names = class_table().names
     counted = [(np.mean(classes == code), name) for code, name in enumerate(names)]
     yield "classes: " + ", ".join(f"{name} {share:.0%}" for share, name in counted if share > 0)
@@ -299,21 +325,31 @@ class _Cloud:
             start = _start_radius(scene, grid)
             self.level, share = follow_ground(self.position, self.cover, grid, start)
         self.above = self.position[:, 2] - self.level(self.position[:, 0], self.position[:, 1])
+        self.poor = None
+        if level is None:
+            self.poor = assumed_bed.PoorGround.of(scene, self.above, self.position, self.cover)
+        self.slab = SLAB
+        if self.poor is not None:
+            self.level, self.slab = self.poor.level, max(SLAB, self.poor.layer)
+            self.above = self.position[:, 2] - self.level(*self.position[:, :2].T)
         solid = self.cover > 0
-        self.near_bed = (np.abs(self.above) < SLAB) & solid
+        self.near_bed = (np.abs(self.above) < self.slab) & solid
         ceiling = _ceiling(scene)
         x, y = grid.centres()
         level = self.level(*np.meshgrid(x[::8], y[::8]))
         self.top = float(level.max()) + ceiling
-        self.floor = float(level.min()) - SLAB
+        self.floor = float(level.min()) - self.slab
         self.below_ceiling = self.above < ceiling
         floating = lonely(self.position, self.splats, self.frame, grid, self.top)
-        self.below_ceiling &= ~floating | (self.above <= SLAB)
-        self.overhead = self.below_ceiling & (self.above > SLAB)
+        self.below_ceiling &= ~floating | (self.above <= self.slab)
+        self.overhead = self.below_ceiling & (self.above > self.slab)
         self.sweep = None
         # Generated scenes were not photographed; along a drive pictures take too long.
-        if scene.source is not None and scene.cameras and scene.pages is None:
-            self.sweep = ground_sweep(scene, kept_surface(scene))
+        photographed = scene.source is not None and scene.cameras and scene.pages is None
+        found = kept_surface(scene) if photographed else None
+        if photographed and self.poor is None:
+            self.sweep = ground_sweep(scene, found)
+        self.places = self.position if found is None else found.surface.position
         self.notes = ()
         if level.max() - level.min() > SLAB:
             self.notes = (

@@ -53,6 +53,8 @@ def _packed(terrain):
     arrays = {name: getattr(terrain, name) for name in ARRAYS}
     if terrain.water.any():
         arrays["water"] = terrain.water
+    if terrain.layer.size:
+        arrays["layer"] = terrain.layer
     if len(terrain.tops):
         arrays |= {TOPS + name: values for name, values in terrain.tops.arrays().items()}
     return facts, arrays

@@ -31,11 +31,12 @@ _ARRAYS = {
     "noise": Field("float32", _MAP, 0, HEIGHT),
     "color": Field("float32", (*_MAP, 3), -100, 100),
 }
-_WATER = ("water", "standing", "poured")
+_LATER = ("water", "standing", "poured", "layer")  # that not all files have
 _OTHERS = {
     "standing": Field("float32", _MAP, 0, HEIGHT, needed=False),
     "poured": Field("float32", _MAP, 0, HEIGHT, needed=False),
     "water": Field("float32", _MAP, 0, HEIGHT, needed=False),  # not in the files of old versions
+    "layer": Field("float32", ("layer rows", "layer columns"), 0, HEIGHT, needed=False),
     "origin": Field("float64", (2,), **_LENGTH),
     "spacing": Field("float64", (), 1e-5, 1e3),
     "notes": Field(TEXT, ("notes",)),
@@ -72,7 +73,7 @@ def write_terrain(folder, terrain):
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, *_WATER)}
+    arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, *_LATER)}
     arrays = {name: values for name, values in arrays.items() if values is not None}
     arrays |= {_TOPS + name: values for name, values in terrain.tops.arrays().items()}
     grid = terrain.grid
@@ -111,10 +112,12 @@ def read_terrain(folder):
         raise _wrong(path, f"has {shape[1]} x {shape[0]} cells", f"{LEAST_CELLS} x {LEAST_CELLS} "
                      f"or more, {MOST_CELLS} in all")  # fmt: skip
     _check_heights(path, found)
+    if "layer" in found and found["layer"].shape not in (shape, (0, 0)):
+        raise _wrong(path, f"has a layer of shape {found['layer'].shape}", f"{shape} or (0, 0)")
     tops = _tops(path, found, shape)
     grid = Grid(shape, tuple(found["origin"].tolist()), float(found["spacing"]))
     arrays = {name: found[name] for name in _ARRAYS}
-    arrays |= {name: found[name] for name in _WATER if name in found}
+    arrays |= {name: found[name] for name in _LATER if name in found}
     return Terrain(grid, **arrays, notes=tuple(found["notes"]), tops=tops)
 
 

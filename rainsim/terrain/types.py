@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -116,6 +116,9 @@ NO_TOPS = Tops(
 )  # fmt: skip
 
 
+NO_LAYER = np.zeros((0, 0), np.float32)  # of ground whose height the splats tell
+
+
 @dataclass(frozen=True)
 class Terrain:
     """Ground, cover and classes on a `Grid`.
@@ -150,6 +153,9 @@ class Terrain:
         What lies flat above the ground, see `rainsim.terrain.tops`.
     footprints : tuple of rainsim.actors.footprint.Footprint
         Of the actors that move over the map; not written to files.
+    layer : ndarray of shape (ny, nx) or (0, 0), float32 [m]
+        How far from the bed the splats lie that show the ground, where they tell its height too
+        poorly: the bed is then assumed, see `rainsim.terrain.assumed_bed`. Empty if it is known.
 
     Examples
     --------
@@ -172,6 +178,7 @@ class Terrain:
     poured: np.ndarray | None = None
     tops: Tops = NO_TOPS
     footprints: tuple = ()
+    layer: np.ndarray = field(default_factory=lambda: NO_LAYER)
 
     def __post_init__(self):
         """Fill in a map of zeros if no water was painted."""

@@ -31,6 +31,7 @@ def test_human_units_become_si(tmp_path):
     file.write_text(
         "rain_mm_per_hour = 36\npast_rain_mm = 4\nwind_speed_m_per_s = 2\n"
         "wind_direction_degrees = 90\nexposure_ms = 4\nsun_azimuth_degrees = 180\n"
+        "captured_sun_azimuth_degrees = 90\ncaptured_sun_elevation_degrees = 30\n"
         "sun_elevation_degrees = 45\nwater_level_m = 0.1\nframes = 7\nterrain_spacing_m = 0.05\n"
     )
     config = Config.from_preset(file).check()
@@ -40,6 +41,7 @@ def test_human_units_become_si(tmp_path):
     assert config.rain.wind_velocity == pytest.approx((0, 2), abs=1e-12)
     assert config.render.exposure == pytest.approx(4e-3)
     assert config.render.sun == pytest.approx((math.pi, math.pi / 4))
+    assert config.render.captured_sun == pytest.approx((math.pi / 2, math.pi / 6))
     assert config.water.level == 0.1
     assert config.frames == 7
     assert config.terrain.spacing == 0.05
@@ -187,6 +189,7 @@ def test_keyframes_that_are_none_are_refused(frames):
     past=st.floats(0, 0.5),
     wind=st.tuples(st.floats(0, 30), st.floats(-10, 10)),
     sun=st.none() | st.tuples(st.floats(-7, 7), st.floats(0, 1.5)),
+    captured_sun=st.none() | st.tuples(st.floats(-7, 7), st.floats(0, 1.5)),
     seed=st.integers(0, 2**32 - 1),
     frame_range=st.none() | st.tuples(st.integers(0, 11), st.integers(12, 24)),
 )

@@ -32,12 +32,12 @@ from rainsim.surface.kept_surface import kept_surface
 SURFACE = {}  # of the last scene: several tests look for the sun of one
 
 
-def relit(scene, sun=None):
+def relit(scene, sun=None, shone=True):
     """Return the `Relight` of a scene, whose sun may be given by its angles in degrees."""
     if SURFACE.get("scene") is not scene:
         SURFACE.update(scene=scene, found=kept_surface(scene))
     angles = None if sun is None else tuple(np.radians(sun))
-    return relight.find_relight(scene, SURFACE["found"], angles)
+    return relight.find_relight(scene, SURFACE["found"], angles, shone=shone)
 
 
 def light_of(splats):
@@ -127,6 +127,31 @@ def test_a_given_sun_is_taken_wherever_it_stands(sunny):
     assert wrong.gain is not None and "given" in wrong.note
     assert wrong.ratio == relight.USUAL_RATIO
     np.testing.assert_allclose(wrong.sun, sunny_yard.direction_of(20, 30), atol=1e-12)
+
+
+def test_a_sun_by_the_clock_counts_where_shadows_show_that_it_shone(sunny, dull):
+    wrong = relit(sunny[0], [20.0, 30.0], shone=False)
+    assert wrong.gain is None and "if it did shine, --captured-sun=20,30" in wrong.note
+    assert relit(dull[0], [200.0, 38.0], shone=False).gain is None
+    assert relit(dull[0], [200.0, 38.0]).gain is not None  # a person's word counts
+    right = relit(sunny[0], [203.0, 38.0], shone=False)
+    assert right.gain is not None and angle(right.sun, 200, 38) < 1.0
+
+
+def test_the_captured_sun_is_one_setting_and_the_new_days_another(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setenv("RAINSIM_CACHE", "off")
+    monkeypatch.setattr(kept_light, "find_relight", lambda *given: asked.append(given[2::2]))
+    scene = replace(scenes.tiny_scene(), source=tmp_path)
+    config = Config().replace(cloudiness=1.0, sun=(1.0, 0.5))
+    clock = replace(scene, captured_sun=(0.0, 0.6, 0.8))
+    for one, settings in ((scene, config), (clock, config),
+                          (clock, config.replace(captured_sun=(0.2, 0.4)))):  # fmt: skip
+        kept_light.kept_relight(one, settings, None, 0.6)
+    up = scene.ground_frame.rotation @ clock.captured_sun
+    assert asked[0] == (None, False)
+    assert asked[1][0][1] == pytest.approx(np.arcsin(up[2])) and asked[1][1] is False
+    assert asked[2] == ((0.2, 0.4), True)
 
 
 def test_a_given_sun_some_degrees_off_leaves_no_crescent(sunny, dull):
@@ -295,7 +320,7 @@ def test_a_timeline_brings_the_sun_back(tmp_path, monkeypatch):
     assert covered.mean() > 1.2 * sunny.mean()
 
 
-def fake_relight(scene, found, sun, white):
+def fake_relight(scene, found, sun, white, shone):
     gain = np.full((len(scene.splats), 3), 2, np.float16)
     return relight.Relight(gain, "fake", np.array([0.0, 0.0, 1.0]), (1.0, 1.0, 1.0), 1.0)
 

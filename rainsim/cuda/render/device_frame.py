@@ -71,10 +71,12 @@ class DeviceFrame:
             self.chunks = ChunkPicture(paged.whole, drawer.splats, lambda: [self.rasterizer])
         grid = ground.terrain.grid
         self.place = to_device(np.array(grid.origin, np.float32)), np.float32(grid.spacing)
+        layer = ground.terrain.layer
         bodies = scene.ground.bodies.now.size or ground.terrain.footprints
         shape = (*grid.shape, 3) if bodies else (1, 1, 3)
         self._buffers = {
             "bed": to_device(ground.terrain.bed), "ground_map": to_device(scene.ground.map),
+            "layer": to_device(layer if layer.size else np.zeros((1, 1), np.float32)),
             "rings": to_device(ground.rings), "bodies": cuda.device_array(shape, np.uint8),
             "environment": to_device(scene.sky.environment), "gloss": to_device(scene.sky.gloss),
             "coat": to_device(scene.sky.coat), "behind": to_device(scene.sky.behind),

@@ -48,13 +48,17 @@ def grade_layers(
     mirrored : bool
     """
     layers = rasterizer.layers
+    layer = frame.conductor.wet_scene.ground.thickest_layer
     dry = DryPicture(
         layers.color.reshape(*shape, 3), layers.alpha.reshape(shape), layers.depth.reshape(shape),
         layers.plane_depth.reshape(shape), layers.normal.reshape(*shape, 3),
         np.float32(frame.conductor.wet_scene.frame.meters_per_unit),
-        NO_AROUND if mirrored else AROUND,
+        NO_AROUND if mirrored else max(AROUND, layer),
     )  # fmt: skip
-    ground = GroundMaps(frame["bed"], frame["ground_map"], *frame.place, frame["bodies"])
+    ground = GroundMaps(
+        frame["bed"], frame["ground_map"], *frame.place, frame["bodies"], frame["layer"],
+        layer,
+    )  # fmt: skip
     sky = SkyMaps(frame["gloss"], frame["coat"], frame["behind_mirrored" if mirrored else "behind"])
     grade_and_wet[pixel_grid(shape, stream)](
         rasterizer.size, dry, view_of_arrays(turn, eye, rasterizer.lens), ground,
@@ -89,7 +93,7 @@ def grade_and_wet(
     x, y, z, d, _, point = seen_surface(
         turn, view.eye, column_slope(view, column), row_slope(view, row),
         (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
-        dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha,
+        dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
     )  # fmt: skip
     around = point.nx, point.ny, point.nz
     if dry.around > ZERO and alpha >= SURFACE_ALPHA:

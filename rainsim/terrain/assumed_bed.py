@@ -1,0 +1,292 @@
+"""The bed of ground that the capture does not know to the centimetre: a plane with a roughness.
+
+Where few pictures overlap, splats of the ground are sheets before the cameras, some decimetres off.
+The hollows among them are noise, and no water stands in them. What is known is that there is
+ground, about how high, and of which colour. Its unevenness is assumed to be that of average roads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from rainsim.terrain import bed as bedding
+from rainsim.terrain.types import INFERRED, UNKNOWN
+
+WINDOW = 0.45  # of the cameras' height about the level, within which splats tell the scatter
+WITHOUT_CAMERAS = 1.6  # m, taken for the cameras' height where there are none
+POOR = 0.06  # of the cameras' height: root mean square from which on the ground is not known
+CELL = 1.0  # m, in which the splats below the level are gathered
+LEAST_COVER = 0.05  # of a cell by such splats, for it to count
+ALONG = 5.0  # of the cameras' height: how far along a path its cameras tell the ground's height
+FEWEST, SLOW = 6, 0.5  # cameras of a path; share of their rise that may differ from one to the next
+# How far from the bed splats lie that show it, in times their scatter: near things, and elsewhere;
+# where cameras went, in their heights.
+NEAR, LAYER, WENT = 1.0, 3.0, 0.63
+BESIDE = 0.3  # m about things, that is near them
+STEP, WIDE = 4.0, 0.5  # cameras' heights: longest step from camera to camera; half a path's width
+SPREADS, LEAST_ALPHA = (0.25, 0.5, 1.0, 2.0, 4.0), 0.1  # m about splats that show the ground
+THICK = 0.06  # m about the places of things, that they fill
+STANDS = 0.5  # m over the layer of the ground, up to which what begins there stands on it
+# Power spectral density of the height of a road along a line, G (n / N0)^-2 [m3] at n waves per
+# metre: ISO 8608:2016, class C ("average"), geometric mean of its range.
+DENSITY, N0 = 256e-6, 0.1  # m3, 1/m
+WAVES = 4.0, 2.0, 1.0, 0.5, 0.25  # m, the octaves that are drawn; longer ones are slopes
+OCTAVE = 2**0.5 - 2**-0.5  # integral of n^-2 over an octave about n, times n
+# Variance of the random coefficients over that of an octave: splines spread a part of it to longer
+# waves. The density is then met within 10 % from 0.2 to 1.4 waves per metre.
+COEFFICIENTS = 14.0
+
+
+def scatter_of(above, position, cover, height):
+    """Return how far the splats of the ground scatter about its level [m]; 0 if it is known.
+
+    Nothing lies below the ground, so what is found there is scatter, and as much lies above it.
+    The root mean square of the heights below it is taken by places, and their median counts.
+
+    Parameters
+    ----------
+    above : ndarray of shape (n,) [m]
+        Heights of splats over the level of the ground.
+    position : ndarray of shape (n, 2 or 3) [m]
+    cover : ndarray of shape (n,) [m2]
+    height : float [m]
+        Of the cameras.
+    """
+    below = (above < 0) & (above > -WINDOW * height) & (cover > 0)
+    if not below.any():
+        return 0.0
+    column, row = np.floor(position[below, :2] / CELL).astype(np.int64).T
+    _, cell = np.unique(column * (np.ptp(row) + 1) + row, return_inverse=True)
+    total = np.bincount(cell, cover[below])
+    square = np.bincount(cell, cover[below] * above[below] ** 2)
+    counted = total > LEAST_COVER * CELL**2
+    if not counted.any():
+        return 0.0
+    found = float(np.median(np.sqrt(square[counted] / total[counted])))
+    return found if found > POOR * height else 0.0
+
+
+class PoorGround:
+    """Ground of which a capture tells where it is and how it looks, but not its height.
+
+    Parameters
+    ----------
+    scatter : float [m]
+        See `scatter_of`.
+    height : float [m]
+        Of the cameras.
+    eyes : ndarray of shape (n, 3) [m]
+
+    Attributes
+    ----------
+    level : callable
+        See `level_below`.
+    layer : float [m]
+        How far from the bed most splats lie that show it.
+    """
+
+    def __init__(self, scatter, height, eyes):
+        self._scatter, self._height = scatter, height
+        self._eyes = eyes[np.abs(eyes[:, 2] - height) < WINDOW * height]  # others are misplaced
+        self.level = level_below(self._eyes)
+        self.layer = min(LAYER * scatter, WENT * height)
+
+    @classmethod
+    def of(cls, scene, above, position, cover):
+        """Return the poor ground of a scene, None if it is well known; see `scatter_of`."""
+        eyes = [scene.ground_frame.to_ground(camera.position) for camera in scene.cameras]
+        eyes = np.array(eyes, np.float64).reshape(-1, 3)
+        height = max(float(np.median(eyes[:, 2])), 0.1) if len(eyes) else WITHOUT_CAMERAS
+        scatter = scatter_of(above, position, cover, height)
+        return cls(scatter, height, eyes) if scatter else None
+
+    def bed(self, seen, grid):
+        """Return what `bed_of` does."""
+        return bed_of(seen, grid, self.level)
+
+    def cover(self, places, grid, bed, ceiling):
+        """Return what `cover` does, of `places` on which cameras agree, (n, 3) [m]."""
+        return cover(places, grid, bed, self.layer, ceiling, path_of(self._eyes, grid))
+
+    def layer_map(self, grid, stands):
+        """Return what `layer_map` does; `stands` (ny, nx), bool, is where things stand."""
+        went = path_of(self._eyes, grid)
+        return layer_map(stands, went, grid.spacing, self._scatter, self._height)
+
+
+def level_below(eyes):
+    """Return the level of the ground [m] as a function of arrays of x and y.
+
+    Where cameras rise and fall slowly along their path, as on a walk, the ground does below them.
+    Where they do so from one to the next, somebody held them high and low, and it is a plane.
+
+    Parameters
+    ----------
+    eyes : ndarray of shape (n, 3) [m]
+    """
+    usual = float(np.median(eyes[:, 2])) if len(eyes) else 1.0
+    rise = eyes[:, 2] - eyes[:, 2].mean() if len(eyes) else eyes[:, 2]
+
+    def mean(x, y, but_self=0.0):
+        square = (np.ravel(x)[:, None] - eyes[:, 0]) ** 2 + (np.ravel(y)[:, None] - eyes[:, 1]) ** 2
+        square = square / (2 * (ALONG * usual) ** 2)
+        weight = np.exp(square.min(axis=1, keepdims=True) - square)
+        weight[square == 0] *= 1 - but_self
+        return weight @ rise / np.maximum(weight.sum(axis=1), 1e-12)
+
+    if len(eyes) >= FEWEST and usual > 0:
+        left = rise - mean(eyes[:, 0], eyes[:, 1], 1.0)
+        if np.std(left) < SLOW * np.std(rise):
+            return mean
+    return lambda x, y: np.zeros(np.size(x))
+
+
+def bed_of(seen, grid, level):
+    """Return bed [m], source, noise [m], colour and excess green of ground that is poorly known.
+
+    Sheets before the cameras hardly cover the ground that they show, seen from above: so each cell
+    has the colour of what is near, within the least of SPREADS that shows enough.
+
+    Parameters
+    ----------
+    seen : rainsim.terrain.extract.Seen
+        The splats about the bed, from above.
+    grid : Grid
+    level : callable
+        See `level_below`.
+    """
+    color, known = np.zeros((*grid.shape, 3), np.float32), np.zeros(grid.shape, bool)
+    for spread in SPREADS:
+        width = spread / grid.spacing
+        alpha = bedding.blur(seen.alpha, width)
+        new = (alpha > LEAST_ALPHA) & ~known
+        for c in range(3):
+            channel = bedding.blur(np.ascontiguousarray(seen.color[..., c]), width)
+            color[new, c] = np.clip(channel[new] / alpha[new], 0, 1)
+        known |= new
+    green = 2 * color[..., 1] - color[..., 0] - color[..., 2]
+    source = np.where(known, INFERRED, UNKNOWN).astype(np.uint8)
+    x, y = grid.centres()
+    coarse = (values[:: max(1, round(CELL / grid.spacing))] for values in (x, y))
+    x0, y0 = (np.append(values, last[-1]) for values, last in zip(coarse, (x, y), strict=True))
+    heights = level(*np.meshgrid(x0, y0)).reshape(len(y0), len(x0))
+    across = np.stack([np.interp(x, x0, row) for row in heights])
+    bed = np.stack([np.interp(y, y0, column) for column in across.T], axis=1)
+    bed = (bed + roughness(grid)).astype(np.float32)
+    return bed, source, np.zeros(grid.shape, np.float32), color, green
+
+
+def path_of(eyes, grid):
+    """Return where cameras went, bool (ny, nx): nothing stands there, whatever splats look like.
+
+    From each camera the way to the next two counts, as far as they are near; `eyes` [m] of those
+    that are not misplaced.
+    """
+    went = np.zeros(grid.shape, bool)
+    if not len(eyes):
+        return went
+    height, foot = float(np.median(eyes[:, 2])), eyes[:, :2]
+    away = np.linalg.norm(foot[:, None] - foot, axis=-1)
+    for n, near in enumerate(np.argsort(away, axis=1)[:, :3]):
+        for other in near:
+            if away[n, other] <= STEP * height:
+                steps = max(2, int(2 * away[n, other] / grid.spacing))
+                way = foot[n] + np.linspace(0, 1, steps)[:, None] * (foot[other] - foot[n])
+                row, column, inside = grid.cells(*way.T)
+                went[row[inside], column[inside]] = True
+    if not went.any():
+        return went
+    return ndimage.distance_transform_edt(~went) * grid.spacing < WIDE * height
+
+
+def cover(places, grid, bed, layer, ceiling, went):
+    """Return top and underside [m] of what stands on or hangs over poorly known ground.
+
+    Parameters
+    ----------
+    places : ndarray of shape (n, 3) [m]
+        Of surfaces on which cameras agree: splats before few cameras look like things.
+    grid : Grid
+    bed : ndarray of shape (ny, nx) [m]
+    layer : float [m]
+        How far from the bed the splats lie that show it.
+    ceiling : float [m]
+        What is higher was hardly seen.
+    went : ndarray of shape (ny, nx), bool
+        See `path_of`.
+    """
+    row, column, inside = grid.cells(places[:, 0], places[:, 1])
+    inside &= (places[:, 2] > layer) & (places[:, 2] < ceiling) & ~went[row, column]
+    row, column, height = row[inside], column[inside], places[inside, 2].astype(np.float32)
+    top, low = np.full(grid.shape, -np.inf, np.float32), np.full(grid.shape, np.inf, np.float32)
+    np.maximum.at(top, (row, column), height)
+    np.minimum.at(low, (row, column), height)
+    size = 2 * max(1, round(THICK / grid.spacing)) + 1
+    top, low = ndimage.maximum_filter(top, size), ndimage.minimum_filter(low, size)
+    there = np.isfinite(top)
+    low = np.where(low < layer + STANDS, bed, low)
+    return np.where(there, top, bed), np.where(there, np.minimum(low, top), bed)
+
+
+def layer_map(stands, went, spacing, scatter, height):
+    """Return how far from the bed splats lie that show it, (ny, nx) float32 [m].
+
+    Parameters
+    ----------
+    stands, went : ndarray of shape (ny, nx), bool
+        Where things stand, and where cameras went.
+    spacing : float [m]
+    scatter : float [m]
+        See `scatter_of`.
+    height : float [m]
+        Of the cameras.
+    """
+    width = BESIDE / spacing
+    near = np.clip(4 * bedding.blur(stands.astype(np.float32), width), 0, 1)
+    free = np.clip(2 * bedding.blur(went.astype(np.float32), width) - 0.5, 0, 1)
+    layer = scatter * (LAYER + near * (NEAR - LAYER))
+    layer = layer + free * np.maximum(WENT * height - layer, 0)
+    return np.minimum(layer, WENT * height).astype(np.float32)
+
+
+def roughness(grid, seed=0):
+    """Return the heights [m] of an average road over a grid, ndarray of shape (ny, nx), float32.
+
+    They depend on the place alone, not on the grid: octaves of cubic splines whose coefficients are
+    random numbers on lattices through the origin. Under a straightedge of 3 m gaps are some 8 mm.
+    """
+    x, y = grid.centres()
+    height = np.zeros(grid.shape, np.float32)
+    for octave, wave in enumerate(WAVES):
+        variance = DENSITY * N0**2 * wave * OCTAVE
+        columns, across = _spline(2 * x / wave)
+        rows, down = _spline(2 * y / wave)
+        random = _normal(rows[:, None], columns[None, :], 97 * seed + octave)
+        height += np.sqrt(np.float32(COEFFICIENTS * variance)) * (down @ random @ across.T)
+    return height
+
+
+def _spline(place):
+    """Return the lattice points that bear on places (n,), and their weights (n, points)."""
+    first = np.floor(place).astype(np.int64)
+    t = place - first
+    lattice = np.arange(first.min() - 1, first.max() + 3)
+    weights = np.zeros((len(place), len(lattice)), np.float32)
+    row, column = np.arange(len(place)), first - lattice[0]
+    parts = (1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3
+    for k, part in enumerate(parts):
+        weights[row, column - 1 + k] = part / 6
+    return lattice, weights
+
+
+def _normal(row, column, seed):
+    """Return a random number of mean 0 and variance 1 for each lattice point, float32."""
+    with np.errstate(over="ignore"):
+        h = row.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+        h = (h ^ (h >> np.uint64(29))) + column.astype(np.uint64) * np.uint64(0xBF58476D1CE4E5B9)
+        h = (h ^ (h >> np.uint64(32))) * np.uint64(0x94D049BB133111EB + 2 * seed)
+        h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+    # The sum of four uniform numbers of 16 bits is nearly normal.
+    parts = sum(((h >> np.uint64(16 * k)) & np.uint64(0xFFFF)).astype(np.float32) for k in range(4))
+    return (parts / np.float32(65536) - np.float32(2)) * np.float32(3**0.5)
