@@ -25,6 +25,9 @@ STEP = 0.25  # logarithm of a channel between texels of the sky, at most
 # Captures whose harmonics were cut off (.splat) have .12 where whole ones have .03.
 NEAR = 0.16
 SAME = 0.35  # logarithm of a channel by which a pixel differs from the map
+GREY = 0.8  # logarithm of blue over red, up to which a sky is covered with clouds
+RIVAL = 0.1  # of the largest part of the map, from which on a brighter one is sky
+BRIGHT_LAND = 0.05  # of the pixels of a grey sky, that may be brighter
 LIKE_LAND = 0.5  # share of what lies below the horizon that may differ so little from the map
 SEEN = 45, 180  # rows and columns of the map of where the sky is seen
 LEAST_SEEN = 0.02  # share of the pixels that look in a direction, that show the sky
@@ -60,19 +63,31 @@ class SkyColors:
                 color, spread = _median_map(texel, seen - self.exposure[camera, None])
                 known = _highest_part(color)
         self.color = _completed(color, spread, known)
-        if self.color is not None and self._like_land(views) > LIKE_LAND:
-            self.color = None  # fog, or a room of one grey: no colour tells the sky from a wall
+        if self.color is not None and self._is_doubtful(views):
+            self.color = None
 
-    def _like_land(self, views):
-        """Return the share of the pixels below the horizon that have the map's colour."""
-        alike = below = 0
+    def _is_doubtful(self, views):
+        """Tell whether the map's colour is also that of land, so that it tells no sky.
+
+        Fog, or a room of one grey, has it below the horizon, too. And under a grey sky nothing is
+        brighter than the sky: else it is a pale wall.
+        """
+        alike = below = sky = brighter = 0
         for view, exposure in zip(views, self.exposure, strict=True):
-            direction = directions(view)
-            low = direction[..., 2] < 2 * LOWEST
-            below += np.count_nonzero(low)
-            light = view.light[low] * np.exp(np.float32(-exposure))
-            alike += np.count_nonzero(self.off(light, direction[low]) < SAME)
-        return alike / max(below, 1)
+            direction = directions(view)[::2, ::2]
+            more = self._more(view.light[::2, ::2], direction, exposure)
+            near, high = np.abs(more).max(axis=-1) < SAME, direction[..., 2]
+            below += np.count_nonzero(high < 2 * LOWEST)
+            alike += np.count_nonzero(near & (high < 2 * LOWEST))
+            sky += np.count_nonzero(near & (high > -LOWEST))
+            brighter += np.count_nonzero((more.min(axis=-1) > SAME) & (high > -LOWEST))
+        if alike > LIKE_LAND * max(below, 1):
+            return True
+        return _is_grey(self.color.reshape(-1, 3)) and brighter > BRIGHT_LAND * max(sky, 1)
+
+    def _more(self, light, direction, exposure):
+        """Return the logarithm by which a view's light exceeds the sky, (..., 3)."""
+        return np.log(np.clip(light, 0.01, 1.0)) - np.float32(exposure) - self.at(direction)
 
     def off(self, light, direction):
         """Return the logarithm by which linear light (..., 3) differs from the sky, (...)."""
@@ -95,7 +110,7 @@ class SkyColors:
         """
         direction = directions(view)
         high = direction[..., 2]
-        more = np.log(np.clip(view.light, 0.01, 1.0)) - np.float32(exposure) - self.at(direction)
+        more = self._more(view.light, direction, exposure)
         off = np.abs(more).max(axis=-1)
         near = ndimage.median_filter((off < SAME) & (high > LOWEST), 3)
         cloud = ~near & (more.min(axis=-1) > -SAME) & (high > LOWEST)
@@ -264,7 +279,18 @@ def _highest_part(color):
         return known
     size = np.broadcast_to(np.sin(high) * np.cos(high), part.shape)
     weight = np.bincount(part[known], size[known])
-    return known & (part == np.argmax(weight))
+    light = np.bincount(part[known], size[known] * color[known].mean(axis=-1))
+    light /= np.maximum(weight, 1e-9)
+    best = np.argmax(weight)
+    if _is_grey(color[known & (part == best)]):  # under a grey sky nothing is brighter
+        rivals = (light > light[best] + SAME) & (weight > RIVAL * weight[best])
+        best = np.argmax(weight * rivals) if rivals.any() else best
+    return known & (part == best)
+
+
+def _is_grey(color):
+    """Tell whether logarithms of colours (n, 3) are those of a grey sky."""
+    return np.median(color[:, 2] - color[:, 0]) < GREY
 
 
 def _completed(color, spread, known):

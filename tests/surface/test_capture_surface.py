@@ -153,6 +153,16 @@ def test_one_grey_everywhere_is_no_sky():
     )
 
 
+def test_a_grey_front_below_a_brighter_sky_is_no_sky():
+    front = np.full((60, 80, 3), (0.3, 0.32, 0.36), np.float32)
+    front[50:] = (0.1, 0.09, 0.05)
+    assert captured_sky.SkyColors([view_of(front, 0.3)] * 4).color is not None
+    front[:8, :50] = 0.9
+    pictures = [view_of(front, 0.3)] * 4
+    parts = captured_sky.SkyColors(pictures).parts(pictures)
+    assert (parts[0][12:] < 1).all()
+
+
 def test_haze_before_a_wall_is_moved_to_the_wall():
     rng = np.random.default_rng(0)
     count = 6000
