@@ -20,7 +20,7 @@ from rainsim.shading.color import luminance_of
 from rainsim.shading.grading import DULL_EXPOSURE
 from rainsim.shading.wetness import LEAST_FILM, OTHER_POROSITY, dampness
 from rainsim.terrain.table import class_table
-from rainsim.terrain.types import MEASURED
+from rainsim.terrain.types import INFERRED, MEASURED
 
 FLAT_TOP = 0.05  # m over the bed: open ground has nothing on it
 LEAST_AREA = 0.25  # m2 of a class that can be judged
@@ -57,7 +57,8 @@ def albedo_of_white(terrain, splats, ground_albedo=None, gain=None, frame=None):
         Of the splats; needed with a gain.
     """
     light = luminance_of(terrain.color)
-    open_ground = (terrain.source == MEASURED) & (terrain.top - terrain.bed < FLAT_TOP)
+    told = INFERRED if terrain.layer.size else MEASURED  # of poor ground the pictures tell colours
+    open_ground = (terrain.source == told) & (terrain.top - terrain.bed < FLAT_TOP)
     brighter = 1.0
     if gain is not None:
         brighter = gain @ LUMINANCE_WEIGHTS

@@ -38,6 +38,7 @@ LEAST_ALBEDO, MOST_ALBEDO = np.float32(0.02), np.float32(0.8)
 LEAF_SHED, LAWN_SHED = np.float32(0.8), np.float32(0.9)
 COATED = np.float32(0.7)  # the same of smooth things: paint and glazes have a coat when dry; by eye
 GREENISH, GREEN = np.float32(0.2), np.float32(0.6)  # of yellow walls, and of leaves: what glosses
+LEAFY = np.float32(0.35)  # mean cosine of leaves to the vertical, where normals are noise
 LEAF_ALBEDO = np.float32(0.1)  # of leaves in the open, as of grass in classes.toml
 
 GLOSS = np.float32(0.3)  # of a smooth mirror: what a water film on rough stone reflects; by eye
@@ -62,7 +63,7 @@ LEANS = np.float32(0.1)  # the same below which a surface counts as upright
 # Heights over the bed [m]: up to the first all is ground, from the second on what is upright is
 # not; up to the third what is level is ground, from the fourth on nothing is.
 FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
-LAYER_END = np.float32(1.5)  # the same over the thickness of a layer of splats about a poor bed
+LAYER_END = np.float32(2)  # the same over the thickness of a layer of splats about a poor bed
 NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
 WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
 TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
@@ -236,7 +237,7 @@ def wetted_normal(r, g, b, height, point, around, layer):
     if layer > ZERO:
         # Normals are noise there: a wall is upright, leaves face any way.
         sure = smoothstep(UNLIKE, ALIKE, length)
-        z, leaf = sure * z + (ONE - sure) * leaf * HALF, ZERO
+        z, leaf = sure * z + (ONE - sure) * leaf * LEAFY, ZERO
     leaf = max(leaf, ground_share(height, max(point.nz, z), ZERO))
     leaf = leaf if square > np.float32(1e-6) else ONE
     x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
@@ -266,12 +267,17 @@ def ground_share(height, upness, layer):
 
 
 @inlined_function
+def bed_at(ground, u, v):
+    """Return the bed's height at column u and row v [m], beyond the map as at its border."""
+    return bilinear(ground.bed, max(ZERO, u), max(ZERO, v))  # in this order NaN gives 0
+
+
+@inlined_function
 def layer_at(ground, u, v):
     """Return the thickness of the splats about the bed at column u and row v [m]."""
     if ground.layer.shape[0] < 2:
         return ZERO
-    u, v = within(ground, u, v)
-    return bilinear(ground.layer, u, v)
+    return bilinear(ground.layer, max(ZERO, u), max(ZERO, v))  # in this order NaN gives 0
 
 
 @inlined_function
@@ -294,8 +300,7 @@ def on_bed(point, depth, drawn, x, y, z, ground):
     eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     layer = layer_at(ground, u, v)
-    u, v = within(ground, u, v)
-    bed = bilinear(ground.bed, u, v)
+    bed = bed_at(ground, u, v)
     share = ONE - smoothstep(layer, LAYER_END * layer, point.z - bed)
     share = share if layer > ZERO else ZERO
     if point.z < bed:  # nothing lies below the ground, whatever stands there
@@ -304,8 +309,7 @@ def on_bed(point, depth, drawn, x, y, z, ground):
         return point, drawn
     to = (bed - eye_z) / z
     u, v = map_place(eye_x + to * x, eye_y + to * y, ground.origin, ground.spacing)
-    u, v = within(ground, u, v)
-    to = (bilinear(ground.bed, u, v) - eye_z) / z
+    to = (bed_at(ground, u, v) - eye_z) / z
     e = depth + share * (to - depth)
     nx, ny, nz = (ONE - share) * point.nx, (ONE - share) * point.ny, point.nz
     nz += share * (ONE - nz)
@@ -345,10 +349,7 @@ def heights_of(point, solid, ground):
     """
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     inside = ground.thickest_layer > ZERO or is_on_map(u, v, ground.bed)
-    bed = ZERO
-    if inside and solid:
-        u, v = within(ground, u, v)
-        bed = bilinear(ground.bed, u, v)
+    bed = bed_at(ground, u, v) if inside & solid else ZERO
     return heights_over(bed, point.z, inside, solid)
 
 
@@ -364,7 +365,8 @@ def wet_state(point, clearance, height, level, ground, rain):
     off = Wetness(ZERO, ZERO, ZERO, ZERO)
     if mapped < ONE:
         body = body_of(point, clearance, ground)
-        off = off_ground(rain, damp_off_ground(rain, point, height, body), body)
+        noisy = ground.thickest_layer > ZERO
+        off = off_ground(rain, damp_off_ground(rain, point, height, body, noisy), body)
     if mapped == ZERO:
         return off
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)

@@ -215,13 +215,14 @@ def _piece(scene, cloud, piece, mask, step):
     grid = piece.grid
     over = cloud.over(grid)
     near = cloud.near_bed & over
-    ground = cloud.look(near, grid)
-    step()
     off = np.zeros_like(near)
     if cloud.poor is not None:
         step()
-        bed, source, noise, color, green = cloud.poor.bed(ground, grid)
+        step()
+        bed, source, noise, color, green = cloud.poor.bed(grid)
     else:
+        ground = cloud.look(near, grid)
+        step()
         if (ground.alpha > MIN_SEEN_ALPHA).any():
             off = _floaters(cloud, ground, grid) & near
         kept = near & ~off
@@ -274,7 +275,7 @@ def _report(terrain, removed, mask):
     if terrain.layer.size:
         yield (
             f"PUDDLES ARE ASSUMED: the splats of the ground lie up to {terrain.layer.max():.2g} m "
-            "off it, so its bed is even but for the roughness of an average road (ISO 8608, C)"
+            "off it, so its bed is even but for the roughness of average roads (ISO 8608, class C)"
         )
     names = class_table().names
     counted = [(np.mean(classes == code), name) for code, name in enumerate(names)]
@@ -327,7 +328,9 @@ class _Cloud:
         self.above = self.position[:, 2] - self.level(self.position[:, 0], self.position[:, 1])
         self.poor = None
         if level is None:
-            self.poor = assumed_bed.PoorGround.of(scene, self.above, self.position, self.cover)
+            self.poor = assumed_bed.PoorGround.of(
+                scene, grid, self.above, self.position, self.cover
+            )
         self.slab = SLAB
         if self.poor is not None:
             self.level, self.slab = self.poor.level, max(SLAB, self.poor.layer)

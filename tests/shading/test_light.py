@@ -128,8 +128,9 @@ def test_level_things_gloss_by_their_water_alone_where_tops_are_drawn():
 
     def gloss(height, tops_end):
         look = AS_CAPTURED._replace(tops_end=tops_end)
+        level = wetting.ground_share(np.float32(height), np.float32(1), np.float32(0))
         return wetting.rainy_color(
-            0.2, 0.15, 0.1, 1.0, -0.3, 0.3, 1.0, height, wet, look
+            0.2, 0.15, 0.1, 1.0, -0.3, 0.3, 1.0, height, level, wet, look
         )[3]  # fmt: skip
 
     assert gloss(0.7, 0.0) > 0.005 and gloss(0.7, 1.6) == 0
@@ -152,7 +153,7 @@ def test_walls_catch_what_slants_towards_them():
         rain = SLANTING._replace(supply=supply)
         points = np.random.default_rng(1).uniform(0, 40, (400, 3))
         points = [SurfacePoint(*point, nx, ny, nz, 2.0) for point in points]
-        return np.mean([walls.damp_off_ground(rain, point, height, 0.0) for point in points])
+        return np.mean([walls.damp_off_ground(rain, point, height, 0.0, False) for point in points])
 
     assert damp(0.0, 0.0, 1.0, 2.5) == 1.0
     side, lee = damp(0.0, 1.0, 0.0, 8.0), damp(1.0, 0.0, 0.0, 8.0)
@@ -172,7 +173,7 @@ def test_a_wall_is_wet_evenly_but_for_soft_paths_longer_than_wide():
 
     def damp(x, y, z, nx, ny, nz, supply=1.0):
         point = SurfacePoint(x, y, z, nx, ny, nz, 2.0)
-        return walls.damp_off_ground(SLANTING._replace(supply=supply), point, 9.0, 0.0)
+        return walls.damp_off_ground(SLANTING._replace(supply=supply), point, 9.0, 0.0, False)
 
     def wall(nx, ny, nz, supply=1.0):
         return np.array([[damp(y, y, z, nx, ny, nz, supply) for y in at] for z in at])
@@ -201,7 +202,7 @@ def test_noise_of_a_walls_normals_wets_no_patch_in_calm_air():
 
     def damp(nz):
         point = SurfacePoint(0.3, 0.7, 2.0, np.sqrt(1 - nz * nz), 0.0, nz, 2.0)
-        return walls.damp_off_ground(calm, point, 2.0, 0.0)
+        return walls.damp_off_ground(calm, point, 2.0, 0.0, False)
 
     assert damp(0.0) == damp(0.2) == damp(-0.2) < 0.01 and damp(0.4) > 0.9
 
