@@ -15,7 +15,7 @@ import numpy as np
 from rainsim.constants import SH_0
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.scene.cameras import look_at, resize_to
-from rainsim.shading.backdrop import Backdrop, sky_distance
+from rainsim.shading.backdrop import Backdrop, sky_of
 from rainsim.shading.color import luminance_of
 from rainsim.shading.grading import DULL_EXPOSURE
 from rainsim.shading.wetness import LEAST_FILM, OTHER_POROSITY, dampness
@@ -129,7 +129,7 @@ def calibration_of(scene, terrain):
         `albedo` of a captured linear colour of 1; `zenith`, the radiance of an overcast zenith over
         that ground, display white being 1; `note`, how the albedo was found.
     """
-    splats = Backdrop(scene, sky_distance(scene), wanted=True).scene.splats
+    splats = Backdrop(scene, sky_of(scene), wanted=True).scene.splats
     albedo, note = albedo_of_white(terrain, splats)
     return {"albedo": albedo, "zenith": zenith_radiance(albedo, DULL_EXPOSURE), "note": note}
 

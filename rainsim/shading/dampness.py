@@ -49,7 +49,7 @@ def find_dampness(
             if not depth[row, column] < FAR_AWAY:
                 continue
             alpha = dry.alpha[row, column]
-            _, _, _, _, _, _, point = seen_surface(
+            _, _, _, _, _, point = seen_surface(
                 turn, eye, column_slope(view, column), row_slope(view, row),
                 (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
                 dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,

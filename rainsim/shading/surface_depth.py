@@ -40,7 +40,7 @@ def find_surface_depth(dry: DryPicture, view: View, ground: GroundMaps, depth_ou
             _, wetted = depth_of_surface(depth, plane, upness)
             if ground.thickest_layer > ZERO:
                 a, b = column_slope(view, column), row_slope(view, row)
-                _, _, _, _, _, _, point = seen_surface(
+                _, _, _, _, _, point = seen_surface(
                     turn, eye, a, b, lean, depth, plane, alpha, ground
                 )
                 wetted = point.distance / math.sqrt(a * a + b * b + ONE)

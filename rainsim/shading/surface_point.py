@@ -76,8 +76,8 @@ def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
     -------
     x, y, z : float32
         Unit direction of view, ground frame.
-    drawn, distance : float32 [m]
-        Depth of what is drawn, and how far that is from the eye.
+    drawn : float32 [m]
+        Depth of what is drawn.
     cosine : float32
         Between the normal and the way back to the eye.
     point : SurfacePoint
@@ -98,7 +98,7 @@ def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
     if ground.layer.shape[0] > 1 and e > ZERO:
         point, d = on_bed(point, e, d, x, y, z, ground)
         cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
-    return x * inv, y * inv, z * inv, d, d * length, cosine, point
+    return x * inv, y * inv, z * inv, d, cosine, point
 
 
 @inlined_function

@@ -60,15 +60,15 @@ from rainsim.shading.wetting import (
     CHUNK * k for k in range(9)
 )
 # The surface: unit view direction, position [m] and normal (ground frame), cosine between normal
-# and the way back, distances [m] of that position and of what is drawn, which is far for the sky.
-(VIEW_X, VIEW_Y, VIEW_Z, X, Y, Z, LEAN_X, LEAN_Y, UPNESS, COSINE, AWAY, FAR) = (
-    CHUNK * k for k in range(9, 21)
+# and the way back, distance [m] of that position.
+(VIEW_X, VIEW_Y, VIEW_Z, X, Y, Z, LEAN_X, LEAN_Y, UPNESS, COSINE, AWAY) = (
+    CHUNK * k for k in range(9, 20)
 )
 # Heights as `heights_of` returns them, shares of gloss, of sky and of what is smooth of the gloss,
 # and places in maps: first the ground's column and row, then the environment's.
-(CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(21, 28))
-LEVEL = 28 * CHUNK  # how surely it is the ground, see `ground_share`
-WETNESS = 29 * CHUNK  # as `store_wetness` writes it, a row for each field
+(CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(20, 27))
+LEVEL = 27 * CHUNK  # how surely it is the ground, see `ground_share`
+WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
 NO_DEPTH = np.float32(np.inf)
@@ -139,7 +139,7 @@ def grade_rays(
             normal[n, 0], normal[n, 1], normal[n, 2], d,
         )  # fmt: skip
         r, g, b, _, _ = wet_pixel(
-            (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), d, point,
+            (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), point,
             (normal[n, 0], normal[n, 1], normal[n, 2]), ground, rain, sky, look, False,
         )  # fmt: skip
         light_out[n, 0], light_out[n, 1], light_out[n, 2] = r, g, b
@@ -250,14 +250,14 @@ def locate(view, b, left, n, ground, s):
     """Find where in the ground frame each pixel of a row at slope b is."""
     turn, eye = turn_of(view.ground_from_camera), (view.eye[0], view.eye[1], view.eye[2])
     for i in range(n):
-        x, y, z, depth, far, cosine, point = seen_surface(
+        x, y, z, depth, cosine, point = seen_surface(
             turn, eye, column_slope(view, left + i), b,
             (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]), s[DEPTH + i], s[PLANE + i],
             s[ALPHA + i], ground,
         )  # fmt: skip
         s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x, y, z
         s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
-        s[COSINE + i], s[DEPTH + i], s[FAR + i] = cosine, depth, far
+        s[COSINE + i], s[DEPTH + i] = cosine, depth
         s[X + i], s[Y + i], s[Z + i], s[AWAY + i] = point.x, point.y, point.z, point.distance
 
 
@@ -380,9 +380,8 @@ def color_pixels(look, mirror_apart, n, s):
     """Grade and wet the colours of n pixels."""
     for i in range(n):
         r, g, b, gloss, through, smooth = rainy_color(
-            s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[FAR + i], s[VIEW_Z + i],
-            s[COSINE + i], s[UPNESS + i], s[HEIGHT + i], s[LEVEL + i],
-            stored_wetness(s, WETNESS + i, CHUNK), look,
+            s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[VIEW_Z + i], s[COSINE + i],
+            s[UPNESS + i], s[HEIGHT + i], s[LEVEL + i], stored_wetness(s, WETNESS + i, CHUNK), look,
         )  # fmt: skip
         s[RED + i], s[GREEN + i], s[BLUE + i], s[THROUGH + i] = r, g, b, through
         s[SMOOTH + i] = smooth

@@ -21,7 +21,7 @@ from rainsim.shading.bodies import body_share
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import reflectance
-from rainsim.shading.grading import graded, is_edge, sky_share, surface_color
+from rainsim.shading.grading import graded, is_edge, surface_color
 from rainsim.shading.surface_point import (
     SurfacePoint,
     ground_share,
@@ -65,7 +65,6 @@ UNLIKE, ALIKE = (
     np.float32(0.4),
     np.float32(0.8),
 )  # length of the mean of noisy normals; of fair ones
-SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
 OPEN_LOW, OPEN_HIGH = np.float32(-0.12), np.float32(-0.06)  # sines from which an open sky shows
 HOLE, GAP = np.float32(0.2), np.float32(0.6)  # of a pixel left open: a flaw, and the sky
 LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
@@ -123,16 +122,16 @@ def open_share(y, look):
 
 
 @inlined_function
-def wetted(r, g, b, share, coat, wet, look):
-    """Return the graded colour of a surface of which a share is wet, the others being sky.
+def wetted(r, g, b, coat, wet, look):
+    """Return the graded colour of a wet surface.
 
     Each channel is darker by the ratio of wet to dry albedo, see `wet_channel`: colours get
     somewhat more saturated. Leaves and lawns darken less, for they shed water, and so do smooth
     things, of which a share is `coat`: most of them are painted or glazed, and look dry as they
     would under water.
     """
-    damp, green = wet.dampness * share, greenness(r, g, b)
-    amount = damp * (ONE - max(max(LEAF_SHED * green, LAWN_SHED * wet.lawn), COATED * coat))
+    green = greenness(r, g, b)
+    amount = wet.dampness * (ONE - max(max(LEAF_SHED * green, LAWN_SHED * wet.lawn), COATED * coat))
     amount *= look.wetness
     return (
         wet_channel(r, amount, wet.porosity, look), wet_channel(g, amount, wet.porosity, look),
@@ -262,7 +261,7 @@ def mirror_cover(point, clearance, level, wet, ground, look):
 
 
 @inlined_function
-def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, wet, look):
+def rainy_color(r, g, b, alpha, sine, cosine, upness, height, level, wet, look):
     """Return a captured surface's colour in the rain, and the shares of gloss and of sky.
 
     Level surfaces gloss as rough stone does. A leaf is a mirror of its own: its facet reflects by
@@ -276,7 +275,6 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, w
         Captured linear colour, see `undiluted`.
     alpha : float32
         Share of the pixel that the surface covers.
-    distance : float32 [m]
     sine : float32
         Of the elevation that the surface is seen at.
     cosine : float32
@@ -299,13 +297,9 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, w
     smooth : float32
         How far the gloss is that of a leaf, 0 to 1, or MIRROR, see `glossed`.
     """
-    sky, gloss, surface, smooth = ZERO, ZERO, ONE, ZERO
-    if distance > look.sky_distance and sine > SKY_SINE:
-        sky = sky_share(r, g, b)
-        surface = ONE - sky
-        sky *= look.sky_replaced
+    gloss, smooth = ZERO, ZERO
     r, g, b = graded(r, g, b, look)
-    if wet.dampness * surface > ZERO:
+    if wet.dampness > ZERO:
         thing = ONE - level
         leaf = thing * smoothstep(GREENISH, GREEN, greenness(r, g, b))
         coat = (thing - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
@@ -317,7 +311,7 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, w
         film = wet.film * look.wetness
         covered = min(film, ONE) * coat_gloss  # a coat mirrors no more than all that it can
         gloss = film * (gloss + leaf * open_share(luminance(r, g, b), look)) + covered
-        r, g, b = wetted(r, g, b, surface, coat, wet, look)
+        r, g, b = wetted(r, g, b, coat, wet, look)
         if gloss > ZERO:
             least = GRAZING + leaf * (LEAF_GRAZING - GRAZING) + coat * (COAT_GRAZING - GRAZING)
             share = reflectance(look.law, max(cosine, least))
@@ -325,17 +319,17 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, w
             edge = smoothstep(ZERO, EDGE_COSINE + coat * (COAT_EDGE - EDGE_COSINE), cosine)
             share *= level + thing * edge
             gloss *= share
-            out = ONE - covered * surface * share  # what the coat lets out to the eye
+            out = ONE - covered * share  # what the coat lets out to the eye
             r, g, b = r * out, g * out, b * out
-    # The sky of the day replaces the captured sky and fills what no splat covers. Many captures
-    # leave dark places half open: those are not sky. Below the horizon, where a capture ends before
-    # it, the map has dull ground in haze; `skyline` says in which directions it is open.
-    through, keep = alpha * sky, ONE - sky
+    # The sky of the day fills what no splat covers. Many captures leave dark places half open:
+    # those are not sky. Below the horizon, where a capture ends before it, the map has dull ground
+    # in haze; `skyline` says in which directions it is open.
+    keep = ONE
     if look.open_sky > ZERO:
-        keep *= alpha if is_edge(alpha, look) else ONE
-        through += (ONE - alpha) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
+        keep = alpha if is_edge(alpha, look) else ONE
+        through = (ONE - alpha) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
     else:
-        through += (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
+        through = (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
     return r * keep, g * keep, b * keep, gloss * keep, through, smooth
 
 
@@ -353,7 +347,7 @@ def glossed(x, y, z, cosine, nx, ny, nz, smooth):
 
 
 @inlined_function
-def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, look, mirror_apart):
+def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_apart):
     """Return the radiance of a captured point in the rain: all formulas put together.
 
     Parameters
@@ -363,10 +357,8 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     alpha : float32
     ray : tuple of 3 float32
         Unit direction of view.
-    distance : float32 [m]
-        To what is drawn.
     point : SurfacePoint
-        Where it is wetted: on walls its distance may be another one than `distance`.
+        Where it is wetted.
     around : tuple of 3 float32
         Unit normal of the neighbourhood, see `smooth_normals`; or the point's own.
     ground : GroundMaps
@@ -395,7 +387,7 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     wet = wet_state(point, clearance, height, level, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
-        r, g, b, alpha, distance, z, cosine, point.nz, height, level, wet, look
+        r, g, b, alpha, z, cosine, point.nz, height, level, wet, look
     )
     cover = ZERO
     if mirror_apart and level > ZERO:

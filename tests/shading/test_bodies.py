@@ -95,7 +95,7 @@ def pixel(normal, sky, body=True, color=(0.5, 0.5, 0.5), look=LOOK):
     ground = GroundMaps(np.zeros((8, 8), F4), np.zeros((8, 8, 4), F4), F4([0, -2]), F4(1), maps)
     point = SurfacePoint(*F4([3, 0, 0.7]), *F4(normal), F4(3))
     return np.array(wetting.wet_pixel(
-        tuple(F4(color)), F4(1), AHEAD, F4(3), point, tuple(F4(normal)), ground, SOAKED,
+        tuple(F4(color)), F4(1), AHEAD, point, tuple(F4(normal)), ground, SOAKED,
         SkyMaps(sky, sky, sky), look, False,
     )[:3])  # fmt: skip
 

@@ -91,7 +91,7 @@ def pixel_by_pixel(dry, ground, rain, skies, look, apart):
                 dry.depth, dry.normal, row, column, HEIGHT, WIDTH, VIEW.fx, dry.around / UNIT
             ))  # fmt: skip
         *picture[at], clearance[at], cover[at] = wetting.wet_pixel(
-            dry.color[at], alpha, ray / length, d * length, point, around, ground, rain, skies,
+            dry.color[at], alpha, ray / length, point, around, ground, rain, skies,
             look, apart,
         )  # fmt: skip
         depth[at] = d if alpha >= SURFACE_ALPHA else np.inf
@@ -205,7 +205,7 @@ def test_nowhere_is_some_place_in_memory(poisoned):
 @pytest.mark.parametrize("z", [0.3, -0.3])
 def test_what_lies_behind_shows_where_nothing_was_captured_also_below_the_horizon(scene, z):
     ground, rain, skies = scene
-    look = factories.look(sky_replaced=100, sky_distance=0, albedo=0)
+    look = factories.look(sky_replaced=100, albedo=0)
     ray = F4([0.0, np.sqrt(1 - z * z), z])
     nowhere = SurfacePoint(*F4([0, 99, 99]), *F4([0, -1, 0]), F4(99))
 
@@ -215,7 +215,6 @@ def test_what_lies_behind_shows_where_nothing_was_captured_also_below_the_horizo
             color,
             F4(alpha),
             ray,
-            F4(np.inf),
             nowhere,
             F4([0, -1, 0]),
             ground,

@@ -91,7 +91,7 @@ def grade_and_wet(
     view = view_from(camera)
     turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
     alpha, color = dry.alpha[row, column], dry.color
-    x, y, z, d, distance, _, point = seen_surface(
+    x, y, z, d, _, point = seen_surface(
         turn, view.eye, column_slope(view, column), row_slope(view, row),
         (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
         dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
@@ -106,7 +106,7 @@ def grade_and_wet(
     mirror_apart = cover_out.shape[0] > 0
     r, g, b, clearance, cover = wet_pixel(
         (color[row, column, 0], color[row, column, 1], color[row, column, 2]), alpha,
-        (x, y, z), distance, point, around, ground, off_ground_from(rain),
+        (x, y, z), point, around, ground, off_ground_from(rain),
         sky, look_from(look), mirror_apart,
     )  # fmt: skip
     picture_out[row, column, 0], picture_out[row, column, 1] = r, g
