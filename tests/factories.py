@@ -34,8 +34,8 @@ def of_floats(bundle, usual, changes):
 
 def look(**changes):
     """A `Look` that leaves light as it was captured, with `changes`."""
-    usual = {"exposure": 1, "compression": 0, "sky_replaced": 0, "sky_distance": 30,
-             "open_sky": 0, "albedo": 1, "tops_end": 0}  # fmt: skip
+    usual = {"exposure": 1, "compression": 0, "sky_replaced": 0, "open_sky": 0,
+             "albedo": 1, "tops_end": 0}  # fmt: skip
     return of_floats(Look, usual, changes)
 
 

@@ -55,9 +55,7 @@ class Chunks:
 def require_cuttable(path):
     """Return the splat file that is to be cut and its model's folder, or raise an error."""
     from rainsim.actors.actor_files import actors_file
-    from rainsim.scene.drivestudio import is_checkpoint
     from rainsim.scene.folder import SCENE_FILE, locate
-    from rainsim.scene.street_gaussians import is_street_ply
 
     path = Path(path)
     if actors_file(path) is not None or (path / SCENE_FILE).is_file():
@@ -66,8 +64,7 @@ def require_cuttable(path):
             "of an actors.json where there are actors"
         )
     file, model = locate(path)
-    street = file.suffix.lower() == ".ply" and is_street_ply(file)
-    if street or is_checkpoint(file) or file.name == LOD_META:
+    if file.name == LOD_META:
         raise InputError(f"{file} is no plain splat file; --lod cuts a static set; leave --lod out")
     return file, model
 
@@ -99,7 +96,7 @@ def cut_to_scene(status, file, model, out, given, resume):
         antialiased=trained_antialiased(file), keep=Chunks(record, resume),
     )  # fmt: skip
     beside, photos = given.get("cameras"), given.get("photos")
-    given = given | {"cameras": cameras, "tracks": None, "track_fps": None, "photos": None}
+    given = given | {"cameras": cameras, "photos": None}
     scene = scene_of(str((out / LOD_META).resolve()), given)
     keep = given.get("ground_frame") is not None
     scene = with_photographs(scene, file, beside, photos, keep)

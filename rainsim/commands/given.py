@@ -138,7 +138,7 @@ def scene_of(name, given):
                 )
         if length[0] is None:
             given["meters_per_unit"] = _scale_in_space(*length[1])
-    scene = load_scene(name, **{n: given.get(n) for n in (*names, "tracks", "track_fps")})
+    scene = load_scene(name, **{n: given.get(n) for n in names})
     if length is not None and length[0] is not None:
         from rainsim.scene.folder import override_ground_frame
 

@@ -20,16 +20,6 @@ GROUND_FRAME = "ground_frame.json"
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--info", is_flag=True, help="Only print what PATH holds; write nothing.")
 @click.option(
-    "--tracks",
-    type=click.Path(path_type=Path),
-    help="Folder with the tracks of a Street Gaussians model: the data that it was trained on.",
-)
-@click.option(
-    "--track-fps",
-    type=click.FloatRange(min=0, min_open=True),
-    help="Frames a second of the data of a drivestudio checkpoint (10 without it).",
-)
-@click.option(
     "--lod", is_flag=True,
     help="Cut a capture that is too large for the memory into chunks at several levels of detail "
     "(Streamed SOG); it is read once, part by part.",
@@ -42,11 +32,10 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
 
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
     splat file (PLY, compressed PLY, SPZ, SOG, .splat, .glb) with cameras.json, transforms.json or a
-    COLMAP model (sparse/0) beside it; or a scene with things that move: an actors.json, a Street
-    Gaussians model, a drivestudio checkpoint (.pth). Writes splats.npz, scene.json, with actors
-    actors.npz, and ground_frame.json. Put the folder where RAINSIM_SCENES points to use it by name.
-    Prints the ground frame and, from the height map, what the captured colours are taken for, which
-    --ground-albedo of `run` corrects.
+    COLMAP model (sparse/0) beside it; or a scene with things that move, an actors.json. Writes
+    splats.npz, scene.json, with actors actors.npz, and ground_frame.json. Put the folder where
+    RAINSIM_SCENES points to use it by name. Prints the ground frame and, from the height map, what
+    the captured colours are taken for, which --ground-albedo of `run` corrects.
 
     With --lod the folder holds chunks in place of splats.npz: a Streamed SOG.
 
@@ -57,8 +46,7 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
     Example:
         rainsim import garden/ --camera-height 1.6 --out ~/scenes/garden
         rainsim import plaza.ply --up 0,0,1 --meters-per-unit 1
-        rainsim import output/street/ --tracks data/002 --out ~/scenes/drive
-        rainsim import checkpoint_final.pth --cameras transforms.json --out ~/scenes/drive
+        rainsim import drive/actors.json --out ~/scenes/drive
         rainsim import city.ply --lod --cameras transforms.json --out ~/scenes/city
         rainsim import --info biker.spz
     """

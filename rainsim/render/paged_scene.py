@@ -18,7 +18,6 @@ from rainsim.lod.paged import Page, PagedRasterizer
 from rainsim.lod.room import room_for
 from rainsim.raster import prepare
 from rainsim.scene.harmonics import padded
-from rainsim.shading.backdrop import sky_splats
 from rainsim.shading.diffuse import level_cells, share_of_level, without_gloss
 from rainsim.shading.visibility import pale
 from rainsim.shading.wet_ground_mirror import in_level_picture
@@ -33,7 +32,6 @@ class PagedScene:
     ----------
     backdrop : Backdrop
         Of the scene, whose `pages` are drawn.
-    sky_distance : float [m]
     gain : ndarray of shape (n, 3) or None
         See `PresentSplats`, of the splats that `backdrop` kept.
     diffuse : ndarray of shape (n, 3) or None
@@ -56,19 +54,16 @@ class PagedScene:
     """
 
     def __init__(
-        self, backdrop, sky_distance, gain, diffuse, badly_placed, leave_out, terrain, reach, lawn,
+        self, backdrop, gain, diffuse, badly_placed, leave_out, terrain, reach, lawn,
         render, rasterizer_of,
     ):  # fmt: skip
         scene = backdrop.scene
-        self._scene, self._sky_distance = scene, sky_distance
+        self._scene, self._backdrop = scene, backdrop
         self._terrain, self._gain, self._diffuse = terrain, gain, diffuse
         self._bad, self._leave_out = badly_placed, leave_out
         self._cells = None if diffuse is None else level_cells(terrain, reach, lawn)
         self._nearest, self._colors = cKDTree(scene.splats.position), (0.0, 0.0)
         self._most = scene.splats.sh.shape[1]
-        self._eye = None
-        if backdrop.count:
-            self._eye = np.mean([camera.position for camera in scene.cameras], axis=0)
         pages = scene.pages
         pages.limit(render.memory)
         room = room_for(pages)
@@ -121,9 +116,7 @@ class PagedScene:
         """Return the splats of a run in the present colours, and which of them are badly placed."""
         frame = self._scene.ground_frame
         splats = self._padded(splats)
-        if self._eye is not None:
-            sky = sky_splats(splats, frame, self._eye, self._sky_distance)
-            splats = splats.take(~sky)
+        splats = splats.take(~self._backdrop.is_sky(splats.position))
         bad = np.zeros(len(splats), np.bool_)
         if self._gain is None and self._diffuse is None and not self._bad.any():
             return splats, bad

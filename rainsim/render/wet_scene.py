@@ -9,7 +9,7 @@ import numpy as np
 from rainsim.daylight.kept_light import kept_relight
 from rainsim.numerics.mipmap import coarsened
 from rainsim.rain.exposure import rain_exposure
-from rainsim.raster import Rasterizer
+from rainsim.raster import Rasterizer, prepare
 from rainsim.reflection.planar_mirror import MirrorPicture
 from rainsim.reflection.water_pass import WetPicture
 from rainsim.render.drawn_capture import FINER, DrawnCapture
@@ -19,20 +19,21 @@ from rainsim.render.scene_sky import SceneSky, day_sky
 from rainsim.render.wet_ground import WetGround
 from rainsim.scene.view import view_of
 from rainsim.shading import environment, sky, wetness
-from rainsim.shading.backdrop import Backdrop, sky_distance
+from rainsim.shading.backdrop import Backdrop, sky_of
 from rainsim.shading.calibration import albedo_of_white, zenith_radiance
 from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, Look, look_of, replaces_sky
 from rainsim.shading.skyline import skylines
 from rainsim.shading.surface_depth import find_surface_depth
+from rainsim.shading.surface_point import GroundMaps
 from rainsim.shading.visibility import badly_placed, views_of_splats, without_shreds
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetness import OffGroundWetness
-from rainsim.shading.wetting import GroundMaps, SkyMaps
+from rainsim.shading.wetting import SkyMaps
 from rainsim.simulation import usual_wind
 from rainsim.surface.kept_surface import kept_surface, splat_normals
 
-BRIGHT_SKY = 0.15  # mean linear light above which a far pixel shows the captured sky
+BRIGHT_SKY = 0.15  # mean linear light above which splats of the sky show it
 
 
 class Shading(NamedTuple):
@@ -62,8 +63,6 @@ class WetScene:
     ground : WetGround
     sky : SceneSky
     frame : GroundFrame
-    sky_distance : float [m]
-        Beyond which splats may be sky.
     shading : Shading
         Another one whenever anything in it changes.
     notes : list of str
@@ -72,10 +71,9 @@ class WetScene:
 
     def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
         self.config, self.frame = config, scene.ground_frame
-        self.sky_distance = sky_distance(scene)
         found = None if scene.source is None else kept_surface(scene)  # generated ones have none
-        sky_found = None if found is None or not found.sky.any() else found.sky
-        backdrop = Backdrop(scene, self.sky_distance, replaces_sky(config), sky_found)
+        own_sky = sky_of(scene, found)
+        backdrop = Backdrop(scene, own_sky, replaces_sky(config))
         self.scene = backdrop.scene
         self._albedo, about_albedo = albedo_of_white(
             terrain, self.scene.splats, config.render.ground_albedo
@@ -106,16 +104,17 @@ class WetScene:
         paged = None
         if scene.pages is not None:
             paged = PagedScene(
-                backdrop, self.sky_distance, gain, diffuse, bad, leave_out, *where, config.render,
-                rasterizer_of,
+                backdrop, gain, diffuse, bad, leave_out, *where, config.render, rasterizer_of,
             )  # fmt: skip
-        normals = None if found is None or paged is not None else splat_normals(self.scene, found)
+        normals = None
+        if found is not None and paged is None:
+            normals = splat_normals(self.scene, found, own_sky[backdrop.kept])
         self.capture = DrawnCapture(
             backdrop, self.scene, present, present.state(config.at(0.0)), bad, config.render.merge,
             terrain, paged, rasterizer_of, normals,
         )  # fmt: skip
         lines = None
-        if not backdrop.count or sky_found is not None:
+        if not backdrop.count or (found is not None and found.sky.any()):
             seen = found.open if backdrop.count else None
             lines = skylines(
                 self.scene, self.capture.prepared, first_camera, self.capture.near, seen
@@ -131,7 +130,7 @@ class WetScene:
         place = config.render.surroundings
         eye = self.frame.to_ground(first_camera.position if place is None else np.array(place))
         if config.render.sky == "capture":
-            self.sky.take_day(self._captured_sky(eye), self.shading.look)
+            self.sky.take_day(self._captured_sky(scene, own_sky, eye), self.shading.look)
             self._shade()
         self.sky.take_surroundings(self._surroundings(eye))
         self._shade()
@@ -153,7 +152,7 @@ class WetScene:
         return True
 
     def _look_of(self, now):
-        facts = self.sky_distance, self._sky_is_left_out, self._albedo, self._relit
+        facts = self._sky_is_left_out, self._albedo, self._relit
         return look_of(now, *facts, len(self.ground.terrain.tops) > 0)
 
     def _shade(self, look=None, off_ground=None, paving=None):
@@ -328,16 +327,15 @@ class WetScene:
         now = self.shading
         return now.ground, now.off_ground, now.mirrored_sky if mirrored else now.sky, now.look
 
-    def _captured_sky(self, position):
-        """Return the sky that the capture shows from `position` [m], completed and graded."""
-        capture = self.capture
+    def _captured_sky(self, scene, own, position):
+        """Return the sky that splats `own` show from `position` [m], completed and graded."""
+        drawn = Rasterizer(prepare(scene.splats.take(own)))
 
         def draw(view):
             camera = self.frame.camera_in_capture(view)
-            dry = capture.rasterizer.draw(camera, capture.near)
-            far = dry.depth * self.frame.meters_per_unit > self.sky_distance
+            dry = drawn.draw(camera, self.capture.near)
             linear = roughly_linear(dry.color, 4)
-            seen = far & (dry.alpha > 0.9) & (linear.mean(axis=-1) > BRIGHT_SKY)
+            seen = (dry.alpha > 0.9) & (linear.mean(axis=-1) > BRIGHT_SKY)
             return np.where(seen[..., None], linear, -1)
 
         found = environment.probe(draw, position)

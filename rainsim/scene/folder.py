@@ -41,7 +41,6 @@ from rainsim.scene.assumed_ground import ground_frame_of
 from rainsim.scene.big import open_pages, require_home
 from rainsim.scene.cameras import JSON_FILES, cameras_from_data, cameras_to_data, load_cameras
 from rainsim.scene.colmap import find_model
-from rainsim.scene.drivestudio import FRAMES_PER_SECOND, is_checkpoint, read_checkpoint
 from rainsim.scene.formats import META, SUFFIXES, read_splats, sha256_of, trained_antialiased
 from rainsim.scene.formats.streamed import LOD_META
 from rainsim.scene.ground import (
@@ -52,13 +51,6 @@ from rainsim.scene.ground import (
 )
 from rainsim.scene.lamps import with_lamps
 from rainsim.scene.painted import PAINTED_FILE, read_painted, write_painted
-from rainsim.scene.street_gaussians import (
-    StreetModel,
-    in_order,
-    is_street_ply,
-    read_street_ply,
-    street_actors,
-)
 from rainsim.scene.types import GroundFrame, Scene, Splats
 
 SCENE_FILE, SPLAT_FILE = "scene.json", "splats.npz"
@@ -78,9 +70,8 @@ NOT_UNIT = 1e-2  # of a quaternion's squared length from 1
 
 
 def import_scene(
-    path, cameras=None, up=None, meters_per_unit=None, camera_height=None, ground_frame=None,
-    tracks=None, track_fps=None,
-):  # fmt: skip
+    path, cameras=None, up=None, meters_per_unit=None, camera_height=None, ground_frame=None
+):
     """Read a capture and find its ground frame.
 
     Parameters
@@ -97,10 +88,6 @@ def import_scene(
         they are assumed, see `assumed_ground_frame`.
     ground_frame : path-like or GroundFrame, optional
         The whole ground frame; `up` and the scale are then ignored.
-    tracks : path-like, optional
-        Folder with the tracks of a Street Gaussians model, see `rainsim.scene.street_gaussians`.
-    track_fps : float, optional [1/s]
-        Frames a second of the data of a drivestudio checkpoint, see `rainsim.scene.drivestudio`.
 
     Returns
     -------
@@ -108,14 +95,12 @@ def import_scene(
     """
     path, camera_notes = Path(path), []
     if actors_file(path) is not None:
-        _require_options(path, tracks, track_fps)
         given = cameras, up, meters_per_unit, camera_height, ground_frame
         return _import_with_actors(path, actors_file(path), *given)
     if _is_path(cameras):
         cameras, camera_notes = load_cameras(cameras)
     folder = path.parent if path.name == SCENE_FILE else path
     if (folder / SCENE_FILE).is_file():
-        _require_options(folder, tracks, track_fps)
         scene = read_scene(folder)
         if cameras is not None:
             notes = (*scene.notes, *camera_notes)
@@ -123,19 +108,16 @@ def import_scene(
         return override_ground_frame(scene, up, meters_per_unit, camera_height, ground_frame)
     splat_file, model = locate(path)
     if splat_file.name == LOD_META:
-        _require_options(path, tracks, track_fps)
         if cameras is None:
             cameras, camera_notes = cameras_beside(splat_file, model)
         given = up, meters_per_unit, camera_height
         return _import_chunks(path, splat_file, cameras, camera_notes, ground_frame, given)
     with ThreadPoolExecutor(1) as pool:  # hashing runs beside reading
         hashed = pool.submit(sha256_of, splat_file)
-        splats, notes, moving = _read(splat_file, tracks, track_fps)
+        splats, notes = read_splats(splat_file)
         if cameras is None:
             cameras, camera_notes = cameras_beside(splat_file, model)
         source_hash = hashed.result()
-    if isinstance(moving, StreetModel):
-        cameras = in_order(cameras)
     for field in fields(splats):
         cache.know_hash(getattr(splats, field.name), "splats", source_hash, field.name)
     if ground_frame is None:
@@ -144,9 +126,8 @@ def import_scene(
         frame = _as_frame(ground_frame)
     name = path.resolve().name if path.is_dir() else _file_name(path, model)
     notes = (*notes, *camera_notes)
-    scene = Scene(name, splats, tuple(cameras), frame, path, source_hash, notes,
-                  antialiased=trained_antialiased(splat_file))  # fmt: skip
-    return _with_moving(scene, moving, tracks) if moving else scene
+    return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes,
+                 antialiased=trained_antialiased(splat_file))  # fmt: skip
 
 
 def _import_chunks(path, index, cameras, camera_notes, ground_frame, given):
@@ -157,47 +138,6 @@ def _import_chunks(path, index, cameras, camera_notes, ground_frame, given):
     name, notes = _file_name(path, index.parent), (*notes, *camera_notes)
     return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes, pages=pages,
                  antialiased=trained_antialiased(index))  # fmt: skip
-
-
-def _read(file, tracks, track_fps):
-    """Return the static splats of a file, notes, and actors: a `StreetModel`, a tuple of Actor."""
-    street = file.suffix.lower() == ".ply" and is_street_ply(file)
-    _require_options(file, tracks, track_fps, street, is_checkpoint(file))
-    if street:
-        model = read_street_ply(file)
-        return model.static, model.notes, model
-    if is_checkpoint(file):
-        splats, actors, notes = read_checkpoint(file, track_fps or FRAMES_PER_SECOND)
-        return splats, notes, actors
-    return *read_splats(file), ()
-
-
-def _require_options(path, tracks, track_fps, street=False, checkpoint=False):
-    """Raise InputError if an option was given that belongs to another kind of model."""
-    for given, name, fits, what in (
-        (tracks, "--tracks", street, "model of Street Gaussians"),
-        (track_fps, "--track-fps", checkpoint, "checkpoint of drivestudio"),
-    ):
-        if given is not None and not fits:
-            raise InputError(f"{path} is no {what}, whose option {name} is; leave it out")
-
-
-def _with_moving(scene, moving, tracks):
-    """Return a scene with the actors that `_read` returned; those without tracks are left out."""
-    actors, notes = moving, ()
-    if isinstance(moving, StreetModel):
-        if not moving.nodes:
-            return scene
-        if tracks is None:
-            note = f"{len(moving.nodes)} actors are left out: `rainsim import --tracks` adds them"
-            return replace(scene, notes=(*scene.notes, note))
-        actors, notes = street_actors(moving, tracks, scene.cameras)
-    digest = hashlib.sha256(scene.source_hash.encode())
-    for actor in actors:
-        track = actor.track
-        for array in (track.time, track.position, track.rotation):
-            digest.update(array.tobytes())
-    return replace(with_actors(scene, actors, notes), source_hash=digest.hexdigest())
 
 
 def _import_with_actors(path, file, *given):

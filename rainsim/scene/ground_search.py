@@ -1,4 +1,4 @@
-"""The search for the ground among a capture's splats, with what the cameras tell of level."""
+"""The search for the ground among a capture's splats, level as its cameras were held."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from rainsim.errors import GroundError
 from rainsim.scene.level import CHANCE, FULL_SIGMAS, MISPLACED, SURE, GroundBelow, level_of
-from rainsim.scene.plane import ROUGHER, THRESHOLD, Plane, find_plane
+from rainsim.scene.plane import ROUGHER, THRESHOLD, Plane, find_plane, upright_planes
 
 UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that the user gives
 IMAGE_UP_ANGLE = math.radians(70)  # from image-up, which leans as far as a camera looks down
@@ -65,6 +65,8 @@ def ground_below(splats, cameras, up, seed):
         off = math.degrees(angle_between(level.up, up))
         notes.append(f"the cameras were held {off:.0f} degrees from the up that is given")
         level = None
+    if level is not None:
+        level = _with_walls(level, cameras, points, reach, seed)
     hint, angle = up, UP_HINT_ANGLE
     if level is not None:
         hint, angle = level.up, max(LEVEL_ANGLE, 3 * level.deviation)
@@ -109,6 +111,19 @@ def ground_below(splats, cameras, up, seed):
             "cameras is taken"
         )
     return _level_plane(hint, eyes[placed], best), None, placed, notes
+
+
+def _with_walls(level, cameras, points, reach, seed):
+    """Return the `Level` of cameras and walls; as it is, if there are no walls.
+
+    Of cameras that look at one front from one side the path alone gives the pitch; it may climb.
+    """
+    eye = np.median([camera.position for camera in cameras], axis=0)
+    walls = upright_planes(points, eye, level.up, reach, seed)
+    if not len(walls):
+        return level
+    # Cameras that climb against the walls are not misplaced: the weights stay.
+    return level_of(cameras, reach, level.up, walls)._replace(weight=level.weight)
 
 
 def mean_image_up(cameras):

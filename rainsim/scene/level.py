@@ -1,9 +1,9 @@
-"""What cameras that were carried tell of the ground: which way is up, and who of them is wrong.
+"""Level from cameras that were carried: which way is up, and which of the cameras are misplaced.
 
 A camera is held without roll, so its right-hand axis is level; the cameras of a walk are at about
 one height, so their path is level. Both are fitted together, with weights that fall with what is
-left over: a camera that a solver misplaced gets next to none. The splats then need to tell only
-how far below the cameras the ground lies.
+left over: a camera that a solver misplaced gets next to none. Upright walls are fitted with them.
+The splats then need to tell only how far below the cameras the ground lies.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ FEWEST = 4  # cameras that tell how they were held
 # climb of a path. Vertical lines of the photographs of three captures agree to .1, .4 and .7 degree
 # with the up that is fitted so.
 ROLL, PITCH, CLIMB = np.radians((3.0, 15.0, 1.5))
+WALL = np.radians(0.7)  # of a wall from upright; the walls of four captures have .3 to .9 degree
 DEVIATION = 1.4826  # standard deviation over the median of the absolute values
 ROUNDS = 20  # of the fit
 MISPLACED = 0.05  # weight below which a camera counts as misplaced
@@ -30,6 +31,7 @@ CHANCE = LAYER / DEPTH  # share of a cell's splats that lie in the layer by chan
 SPREAD = 0.35  # standard deviation of that share, of cells with one splat
 LOWEST, HIGHEST, STEP = 0.02, 0.4, 1.05  # heights tried, of the path's extent; their ratio
 LIKELY = 2.0  # times more or less than the height above a plane of splats, that are tried
+CLEARLY = 1.15  # times the support of ground that follows the path, for it to be level instead
 SURE, FULL_SIGMAS = 4.0, 16.0  # deviations above chance: ground is there; of full confidence
 
 
@@ -53,7 +55,7 @@ class Support(NamedTuple):
     height: float
 
 
-def level_of(cameras, reach, up=None):
+def level_of(cameras, reach, up=None, walls=()):
     """Return the `Level` of cameras; None if they are too few or do not agree on any up.
 
     Parameters
@@ -64,14 +66,17 @@ def level_of(cameras, reach, up=None):
         Distance to what they look at. A path that is short beside it says nothing.
     up : ndarray of shape (3,), optional
         Roughly up, unit; otherwise up in the pictures, or the views reversed where those look down.
+    walls : ndarray of shape (m, 3), optional
+        Unit normals of upright planes.
     """
     if len(cameras) < FEWEST:
         return None
     axes = np.array([camera.camera_from_world[:3, :3] for camera in cameras])
     eyes = np.array([camera.position for camera in cameras])
+    walls = np.reshape(walls, (-1, 3))
     if up is not None:
-        return _fitted(axes, eyes, reach, up)
-    held = [_fitted(axes, eyes, reach, first) for first in _likely_ups(axes)]
+        return _fitted(axes, eyes, reach, up, walls)
+    held = [_fitted(axes, eyes, reach, first, walls) for first in _likely_ups(axes)]
     # Image-up is level where pictures were taken straight down: then the path climbs along it.
     return min(held, key=lambda level: level.deviation, default=None)
 
@@ -86,18 +91,21 @@ def _likely_ups(axes):
     return found
 
 
-def _fitted(axes, eyes, reach, first):
+def _fitted(axes, eyes, reach, first, walls):
     """Return the `Level` near the direction `first`."""
     # Of a picture that was taken with the camera on its side the other axis is level.
     sideways = np.abs(axes[:, 0] @ first) > np.abs(axes[:, 1] @ first)
     hand = np.where(sideways[:, None], axes[:, 1], axes[:, 0])
     weight, up, roll, climb = np.ones(len(eyes)), first, ROLL, CLIMB
     across = np.linalg.svd(first[None])[2][1:].T  # (3, 2), of small turns
+    # A street's fall is one for all cameras: where walls tell, their path counts as one.
+    once = np.sqrt(len(eyes)) if len(walls) else 1.0
     for _ in range(ROUNDS):
         away = eyes - _median(eyes, weight)
         usual = max(float(np.median(np.linalg.norm(away, axis=1))), 1e-12)
         away *= (usual > LEAST_PATH * reach) / usual
-        rows = np.concatenate([hand / roll, away / climb]) * np.sqrt(np.tile(weight, 2))[:, None]
+        rows = np.concatenate([hand / roll, away / (climb * once)])
+        rows = np.concatenate([rows * np.sqrt(np.tile(weight, 2))[:, None], walls / WALL])
         told = (rows @ across).T @ rows @ across + np.eye(2) * max(weight.sum(), 1) / PITCH**2
         up = first - across @ np.linalg.solve(told, (rows @ across).T @ rows @ first)
         up /= np.linalg.norm(up)
@@ -164,5 +172,8 @@ class GroundBelow:
         if usual is not None:
             low, high = usual / LIKELY, usual * LIKELY
         tried = low * STEP ** np.arange(int(np.log(high / low) / np.log(STEP)) + 1)
-        found = [self.support(depth, height) for depth in self.depths for height in tried]
-        return max(found, key=lambda support: support.sigmas)
+        path, level = (
+            max((self.support(depth, height) for height in tried), key=lambda found: found.sigmas)
+            for depth in self.depths
+        )
+        return level if level.sigmas > CLEARLY * max(path.sigmas, 0.0) else path

@@ -46,8 +46,6 @@ def load_scene(
     meters_per_unit=None,
     camera_height=None,
     ground_frame=None,
-    tracks=None,
-    track_fps=None,
     photos=None,
 ):
     """Load a scene by name or path.
@@ -59,7 +57,7 @@ def load_scene(
         is a name, looked up in the folders that RAINSIM_SCENES lists, in the user's data folder
         (rainsim/scenes) and among the built-in scenes, in this order. street:300 and traffic:300
         are built-in streets of 300 m.
-    cameras, up, meters_per_unit, camera_height, ground_frame, tracks, track_fps
+    cameras, up, meters_per_unit, camera_height, ground_frame
         Override what the scene says; see `import_scene`.
     photos : path-like, optional
         Folder of the photographs of the capture's cameras, where it is not found beside the
@@ -90,9 +88,8 @@ def load_scene(
     }
     path = find_scene(name_or_path)
     if path is not None:
-        own = {"tracks": tracks, "track_fps": track_fps}
         try:
-            scene = import_scene(path, cameras=cameras, **own, **given)
+            scene = import_scene(path, cameras=cameras, **given)
             given_frame = ground_frame is not None
             scene = with_photographs(scene, path, cameras, photos, keep_scale=given_frame)
         except InputError as error:

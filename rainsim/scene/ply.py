@@ -54,7 +54,6 @@ class _Layout:
     disc: bool
     filtered: bool
     shader: bool
-    base: tuple = BASE_COLOR
 
 
 def read_splats(path):
@@ -118,50 +117,17 @@ def plain_blocks(path, header, rows=BLOCK):
     require_few_broken(path, broken, vertex.count)
 
 
-def read_element(path, element, base=BASE_COLOR, more=()):
-    """Return the splats of one element of a PLY, other values of theirs, and notes.
-
-    Parameters
-    ----------
-    path : path-like
-    element : plyheader.Element
-    base : tuple of str
-        Properties that hold the first coefficients of the harmonics.
-    more : sequence of str
-        Properties whose values are wanted too.
-
-    Returns
-    -------
-    splats : Splats
-    values : ndarray of shape (n, len(more)), float32
-    notes : list of str
-    """
-    if element.offset is None or element.row is None:
-        raise InputError(
-            f"{path} has lists in or before {element.name}; splats have none; {REMEDY}"
-        )
-    missing = [n for n in (*REQUIRED, *base, *more) if n not in element.names and n != SCALE[2]]
-    if missing:
-        raise InputError(f"{path}: {element.name} lacks {', '.join(missing[:8])}; {REMEDY}")
-    element.require_room(path)
-    layout = replace(_layout(path, element), base=tuple(base))
-    splats, good = _read_rows(path, element, layout)
-    values = np.zeros((element.count, 0), np.float32)
-    if more:
-        with open(path, "rb", buffering=0) as file:
-            rows = np.fromfile(file, element.row, element.count, offset=element.offset)
-        values = np.ascontiguousarray(_columns(rows)(list(more)))
-        good &= np.isfinite(values).all(axis=1)
-    splats, broken = keep_good(path, splats, good)
-    return splats, values[good], [*_variant_notes(layout), *dropped_note(broken, len(splats))]
-
-
 # --- what the rows hold ---------------------------------------------------------------------------
 
 
 def _require_splats(path, header):
     """Return the vertex element, its place and size checked against the file."""
     vertex = header.find("vertex")
+    if vertex is None and header.find("vertex_background") is not None:
+        raise InputError(
+            f"{path} is a model of Street Gaussians, in parts; splats are stored as vertices; "
+            "examples/drives/convert.py makes a scene of it"
+        )
     if vertex is None:
         raise InputError(f"{path} has no vertex element; splats are stored as vertices; {REMEDY}")
     _require_properties(path, header, vertex.names)
@@ -262,7 +228,7 @@ def _columns(rows):
 
 def _activate(pick, layout, splats, part):
     """Fill rows `part` of `splats` in place; return which of them are usable."""
-    base, rest = pick(layout.base), None
+    base, rest = pick(BASE_COLOR), None
     if layout.shader:
         base = _shader_base(base)
     if layout.coefficients > 1:

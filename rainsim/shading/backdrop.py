@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from rainsim import constants
 from rainsim.constants import HALF, ONE, ZERO
@@ -27,13 +28,40 @@ LOW_EYE = 1.5  # m above the ground, at least, of whom distant ground is drawn f
 SURE = np.float32(0.5)  # `sky_share` from which a splat is sky
 
 
-def sky_distance(scene):
+def sky_of(scene, found=None):
+    """Return which splats of a scene are its sky, ndarray of shape (n,), bool.
+
+    Those that its cameras show as sky, and of all that is far, high and bright what gives them no
+    more light of land than of sky: a far white wall stays. Where no camera can tell, all of it.
+
+    Parameters
+    ----------
+    scene : Scene
+    found : surface.kept_surface.Found, optional
+        What the cameras show; None for a built-in scene.
+    """
+    frame = scene.ground_frame
+    if scene.cameras:
+        eye = _eye_of(scene)
+    elif found is not None:
+        eye = frame.to_capture(found.middle.astype(np.float64))
+    else:
+        return np.zeros(len(scene.splats), np.bool_)
+    far = far_sky(scene.splats, frame, eye, _sky_distance(scene))
+    return far if found is None else found.sky | (far & found.aloft)
+
+
+def _eye_of(scene):
+    return np.mean([camera.position for camera in scene.cameras], axis=0)
+
+
+def _sky_distance(scene):
     """Return the distance [m] beyond which splats may be sky; most of a capture is nearer."""
     if not scene.cameras:
         return NEAREST_SKY
-    eye = np.mean([camera.position for camera in scene.cameras], axis=0)
-    away = np.linalg.norm(scene.splats.position - eye, axis=1) * scene.ground_frame.meters_per_unit
-    return max(NEAREST_SKY, SKY_SHARE * float(np.percentile(away, 99.5)))
+    away = np.linalg.norm(scene.splats.position - _eye_of(scene), axis=1)
+    reach = float(np.percentile(away * scene.ground_frame.meters_per_unit, 99.5))
+    return max(NEAREST_SKY, SKY_SHARE * reach)
 
 
 class Backdrop:
@@ -42,12 +70,10 @@ class Backdrop:
     Parameters
     ----------
     scene : Scene
-    distance : float [m]
-        Beyond which what is bright may be sky.
+    own : ndarray of shape (n,), bool
+        Which splats are its sky, see `sky_of`.
     wanted : bool
         Whether another sky is to be seen at any time; if not, nothing is taken out.
-    found : ndarray of shape (n,), bool, optional
-        Which splats the capture's cameras show as sky, besides those that are far, high and bright.
 
     Attributes
     ----------
@@ -59,21 +85,29 @@ class Backdrop:
         Which splats of the given scene `scene` has.
     """
 
-    def __init__(self, scene, distance, wanted, found=None):
+    def __init__(self, scene, own, wanted):
         self.whole, self.scene, self.count, self.kept = scene, scene, 0, slice(None)
         self._seen, self._height = None, LOW_EYE  # the panorama, once it is drawn
-        if not scene.cameras:
-            return
-        eye = np.mean([camera.position for camera in scene.cameras], axis=0)
-        self._height = max(float(scene.ground_frame.to_ground(eye)[2]), LOW_EYE)
-        if not wanted:
-            return
-        far = sky_splats(scene.splats, scene.ground_frame, eye, distance)
-        found = far if found is None else far | found
-        if covered(scene.splats, eye, found) >= sky.LEAST_SKY_SEEN:
-            self.count, self._eye = int(found.sum()), eye
-            self._sky, self.kept = scene.splats.take(found), ~found
-            self.scene = dataclasses.replace(scene, splats=scene.splats.take(~found))
+        self._own, self._tree = own, None
+        eye = np.mean(scene.splats.position, axis=0)
+        if scene.cameras:
+            eye = _eye_of(scene)
+            self._height = max(float(scene.ground_frame.to_ground(eye)[2]), LOW_EYE)
+        if wanted and covered(scene.splats, eye, own) >= sky.LEAST_SKY_SEEN:
+            self.count, self._eye = int(own.sum()), eye
+            self._sky, self.kept = scene.splats.take(own), ~own
+            self.scene = dataclasses.replace(scene, splats=scene.splats.take(~own))
+
+    def is_sky(self, position):
+        """Return which splats at positions (m, 3), of another level of detail, are left out.
+
+        Those whose nearest splat of the scene is.
+        """
+        if not self.count:
+            return np.zeros(len(position), np.bool_)
+        if self._tree is None:
+            self._tree = cKDTree(self.whole.splats.position)
+        return self._own[self._tree.query(position)[1]]
 
     def note(self):
         """Return a note on the splats that the sky of the day replaces, None if there are none."""
@@ -113,7 +147,7 @@ class Backdrop:
         return self._seen
 
 
-def sky_splats(splats, frame, eye, distance):
+def far_sky(splats, frame, eye, distance):
     """Return which splats are far, high and bright as a sky is, ndarray of shape (n,), bool.
 
     Parameters

@@ -15,12 +15,12 @@ import numpy as np
 from rainsim.constants import SH_0
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.scene.cameras import look_at, resize_to
-from rainsim.shading.backdrop import Backdrop, sky_distance
+from rainsim.shading.backdrop import Backdrop, sky_of
 from rainsim.shading.color import luminance_of
 from rainsim.shading.grading import DULL_EXPOSURE
 from rainsim.shading.wetness import LEAST_FILM, OTHER_POROSITY, dampness
 from rainsim.terrain.table import class_table
-from rainsim.terrain.types import MEASURED
+from rainsim.terrain.types import INFERRED, MEASURED
 
 FLAT_TOP = 0.05  # m over the bed: open ground has nothing on it
 LEAST_AREA = 0.25  # m2 of a class that can be judged
@@ -57,7 +57,8 @@ def albedo_of_white(terrain, splats, ground_albedo=None, gain=None, frame=None):
         Of the splats; needed with a gain.
     """
     light = luminance_of(terrain.color)
-    open_ground = (terrain.source == MEASURED) & (terrain.top - terrain.bed < FLAT_TOP)
+    told = INFERRED if terrain.layer.size else MEASURED  # of poor ground the pictures tell colours
+    open_ground = (terrain.source == told) & (terrain.top - terrain.bed < FLAT_TOP)
     brighter = 1.0
     if gain is not None:
         brighter = gain @ LUMINANCE_WEIGHTS
@@ -128,7 +129,7 @@ def calibration_of(scene, terrain):
         `albedo` of a captured linear colour of 1; `zenith`, the radiance of an overcast zenith over
         that ground, display white being 1; `note`, how the albedo was found.
     """
-    splats = Backdrop(scene, sky_distance(scene), wanted=True).scene.splats
+    splats = Backdrop(scene, sky_of(scene), wanted=True).scene.splats
     albedo, note = albedo_of_white(terrain, splats)
     return {"albedo": albedo, "zenith": zenith_radiance(albedo, DULL_EXPOSURE), "note": note}
 

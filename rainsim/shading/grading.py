@@ -30,7 +30,6 @@ class Look(NamedTuple):
     exposure: np.float32  # factor on captured light
     compression: np.float32  # of highlights, see `graded`; 0: none
     sky_replaced: np.float32  # share of the captured sky that the day's sky replaces, 0 to 1
-    sky_distance: np.float32  # m, beyond which bright things may be sky
     open_sky: np.float32  # 1: the splats of the captured sky are left out, see `backdrop`; 0: drawn
     albedo: np.float32  # that a captured linear colour of 1 stands for, see `calibration`
     # m over the ground, up to which level things are tops, on whose water the gloss lies; 0: none.
@@ -39,14 +38,13 @@ class Look(NamedTuple):
     law: np.float32 = ZERO  # of reflectance, a number of `fresnel.LAWS`
 
 
-def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False, tops=False):
+def look_of(config, sky_is_left_out, albedo, relit=False, tops=False):
     """Return the `Look` of the settings of one time.
 
     Parameters
     ----------
     config : Config
         Its `cloudiness`, 0 to 1, makes light dull; the numbers are chosen by eye.
-    sky_distance : float [m]
     sky_is_left_out : bool
         Whether the splats of the captured sky are left out of the scene.
     albedo : float
@@ -62,15 +60,15 @@ def look_of(config, sky_distance, sky_is_left_out, albedo, relit=False, tops=Fal
     dimmed *= config.render.daylight
     tops_end = TOPS_END if tops else 0.0
     numbers = (
-        dimmed, compressed, replaced, sky_distance, sky_is_left_out, albedo, tops_end,
-        config.render.wetness, LAWS[config.render.fresnel],
+        dimmed, compressed, replaced, sky_is_left_out, albedo, tops_end, config.render.wetness,
+        LAWS[config.render.fresnel],
     )  # fmt: skip
     return Look(*(np.float32(n) for n in numbers))
 
 
 def replaces_sky(config):
     """Tell whether the sky of the day replaces the captured sky at any time."""
-    looks = (look_of(config.at(time), 0, False, 1.0) for time in config.key_times())
+    looks = (look_of(config.at(time), False, 1.0) for time in config.key_times())
     return any(look.sky_replaced > 0 for look in looks)
 
 
@@ -79,7 +77,7 @@ def look_from(numbers):
     """Return the `Look` whose numbers an array holds, as CUDA kernels get them."""
     return Look(
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6],
-        numbers[7], numbers[8],
+        numbers[7],
     )  # fmt: skip
 
 

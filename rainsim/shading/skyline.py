@@ -23,6 +23,7 @@ CLEAR = 0.1  # alpha below which a gap is surely open
 HIGH_GAP = math.sin(math.radians(35))  # sine of the elevation above which gaps show the sky
 PROBES = 4  # places of cameras beside the middle that the capture is seen from
 PARALLAX = math.radians(2.5)  # by which the skyline moves from one camera to another
+BEHIND = 2  # texels by which the sky goes on behind what hides it from a single place
 SOFT = 1.0  # texels over which the sky goes over into what hides it
 FILL = math.radians(6)  # over which the colours of what hides the sky are spread
 
@@ -116,6 +117,10 @@ def seen_from(draw, places):
     reach = round(PARALLAX * ROWS / math.pi)
     # What is solid from everywhere is no sky: eaves and gutters are dark and half covered besides.
     wide = ndimage.maximum_filter(open_, 2 * reach + 1, mode=("nearest", "wrap")) & (open_ | thin)
+    if len(places) == 1:
+        # No other place sees past an outline, yet the sky goes on behind it: dark land that is
+        # interpolated between the map's texels would glow about trees before the sky.
+        wide = ndimage.maximum_filter(wide, 2 * BEHIND + 1, mode=("nearest", "wrap"))
     share = ndimage.gaussian_filter(wide.astype(np.float32), SOFT, mode=("nearest", "wrap"))
     return Skyline(share, land)
 

@@ -16,6 +16,9 @@ LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are
 # Cosines of normals to the vertical: what is nearer to upright than the first catches what slants
 # alone, as captured walls lean by up to so much where they are plain; a pitched roof catches all.
 UPRIGHT_LOW, UPRIGHT_HIGH = np.float32(0.25), np.float32(0.5)
+# Where normals are noise, the same between which a surface gets wet, in place of those two: a wall
+# that seems to lean is hardly wet. And the cosine of a wall to the slant of the rain, likewise.
+SURELY_LEVEL, SURELY_FACING = np.float32(1), np.float32(0.4)
 UNDER_LOW, UNDER_HIGH = np.float32(-0.8), np.float32(-0.2)  # cosines of undersides, of sides
 # Of the rain, what splashes back on the foot of a wall, and its decay upwards [1/m]. An estimate: a
 # tenth of the rain is thrown 10 cm, half of it away from the wall, and lands on 8 cm of height.
@@ -37,7 +40,7 @@ def _damp_of(supply):
 
 
 @inlined_function
-def damp_off_ground(rain, point, height, body):
+def damp_off_ground(rain, point, height, body, noisy):
     """Return the dampness of a surface that is no mapped ground, 0 dry to 1 wet through.
 
     A surface catches rain as it faces the slanting drops; the foot of a wall gets what splashes
@@ -48,23 +51,31 @@ def damp_off_ground(rain, point, height, body):
     Parameters
     ----------
     rain : wetness.OffGroundWetness
-    point : wetting.SurfacePoint
+    point : surface_point.SurfacePoint
         Its distance decides whether the paths are seen.
     height : float32 [m]
         Over the ground.
     body : float32
         How surely it belongs to a smooth body, see `bodies`.
+    noisy : bool
+        Whether the normal is that of a capture whose splats are no surface.
     """
     nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
     caught = max(nz * smoothstep(UPRIGHT_LOW, UPRIGHT_HIGH, abs(nz)) + slant, ZERO)
     caught *= caught / (caught + LEANING)
     damp = _damp_of(rain.supply * caught)
+    surely = ZERO
+    if noisy:
+        surely = max(smoothstep(ZERO, SURELY_LEVEL, nz), smoothstep(ZERO, SURELY_FACING, slant))
+        surely, damp, caught = surely * damp, ZERO, ZERO
     if nz > UNDER_LOW:  # undersides get neither; normals of haze are noise, so the edge is soft
         caught = max(caught, RUN_OFF * body)
         caught += FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
         facing = smoothstep(UNDER_LOW, UNDER_HIGH, nz)
         damp += facing * (_damp_of(rain.supply * caught) - damp)
+    if noisy:
+        damp = max(surely, damp)
     variation = PATHS * damp * (ONE - damp)
     if variation < FAINT or far > PATH_FAR or abs(nz) > SLOPING:
         return damp

@@ -9,7 +9,6 @@ Rays are few and scattered: `grade_rays` calls `wet_pixel`.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -34,20 +33,21 @@ from rainsim.shading.smooth_normals import (
     turn_of,
     turned,
 )
-from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
-from rainsim.shading.wetting import (
+from rainsim.shading.surface_point import (
     FLAT,
-    LEAST_SKY,
-    WALL_SHARE,
     GroundMaps,
-    SkyMaps,
     SurfacePoint,
-    glossed,
     ground_share,
     heights_over,
     layer_at,
+    seen_surface,
+)
+from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
+from rainsim.shading.wetting import (
+    LEAST_SKY,
+    SkyMaps,
+    glossed,
     mirror_cover,
-    on_bed,
     rainy_color,
     wet_pixel,
     wet_state,
@@ -60,15 +60,15 @@ from rainsim.shading.wetting import (
     CHUNK * k for k in range(9)
 )
 # The surface: unit view direction, position [m] and normal (ground frame), cosine between normal
-# and the way back, distances [m] of that position and of what is drawn, which is far for the sky.
-(VIEW_X, VIEW_Y, VIEW_Z, X, Y, Z, LEAN_X, LEAN_Y, UPNESS, COSINE, AWAY, FAR) = (
-    CHUNK * k for k in range(9, 21)
+# and the way back, distance [m] of that position.
+(VIEW_X, VIEW_Y, VIEW_Z, X, Y, Z, LEAN_X, LEAN_Y, UPNESS, COSINE, AWAY) = (
+    CHUNK * k for k in range(9, 20)
 )
 # Heights as `heights_of` returns them, shares of gloss, of sky and of what is smooth of the gloss,
 # and places in maps: first the ground's column and row, then the environment's.
-(CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(21, 28))
-LEVEL = 28 * CHUNK  # how surely it is the ground, see `ground_share`
-WETNESS = 29 * CHUNK  # as `store_wetness` writes it, a row for each field
+(CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(20, 27))
+LEVEL = 27 * CHUNK  # how surely it is the ground, see `ground_share`
+WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
 NO_DEPTH = np.float32(np.inf)
@@ -139,7 +139,7 @@ def grade_rays(
             normal[n, 0], normal[n, 1], normal[n, 2], d,
         )  # fmt: skip
         r, g, b, _, _ = wet_pixel(
-            (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), d, point,
+            (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), point,
             (normal[n, 0], normal[n, 1], normal[n, 2]), ground, rain, sky, look, False,
         )  # fmt: skip
         light_out[n, 0], light_out[n, 1], light_out[n, 2] = r, g, b
@@ -246,77 +246,19 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 
 
 @inlined_function
-def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
-    """Return what a pixel of the capture shows: view direction, depths, cosine and place.
-
-    Parameters
-    ----------
-    turn : tuple of 9 float32
-        Of the camera, see `turn_of`.
-    eye : tuple of 3 float32, or such an array [m]
-    a, b : float32
-        Slopes of the pixel's ray to the right and down.
-    normal : tuple of 3 float32
-        Unit, camera frame.
-    depth, plane_depth : float32 [m]
-        As splatted.
-    alpha : float32
-    ground : GroundMaps
-
-    Returns
-    -------
-    x, y, z : float32
-        Unit direction of view, ground frame.
-    drawn, distance : float32 [m]
-        Depth of what is drawn, and how far that is from the eye.
-    cosine : float32
-        Between the normal and the way back to the eye.
-    point : SurfacePoint
-        Where it is wetted; at the eye if the pixel shows no surface.
-    """
-    x = turn[0] * a + turn[1] * b + turn[2]
-    y = turn[3] * a + turn[4] * b + turn[5]
-    z = turn[6] * a + turn[7] * b + turn[8]
-    length = math.sqrt(x * x + y * y + z * z)
-    inv = ONE / length
-    lean_x, lean_y, upness = turned(turn, normal[0], normal[1], normal[2])
-    cosine = -(normal[0] * a + normal[1] * b + normal[2]) * inv
-    d, e = depth_of_surface(depth, plane_depth, upness)
-    e = e if alpha >= SURFACE_ALPHA else ZERO
-    point = SurfacePoint(
-        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
-    )
-    if ground.layer.shape[0] > 1 and e > ZERO:
-        point, d = on_bed(point, e, d, x, y, z, ground)
-        cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
-    return x * inv, y * inv, z * inv, d, d * length, cosine, point
-
-
-@inlined_function
 def locate(view, b, left, n, ground, s):
     """Find where in the ground frame each pixel of a row at slope b is."""
     turn, eye = turn_of(view.ground_from_camera), (view.eye[0], view.eye[1], view.eye[2])
     for i in range(n):
-        x, y, z, depth, far, cosine, point = seen_surface(
+        x, y, z, depth, cosine, point = seen_surface(
             turn, eye, column_slope(view, left + i), b,
             (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]), s[DEPTH + i], s[PLANE + i],
             s[ALPHA + i], ground,
         )  # fmt: skip
         s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x, y, z
         s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
-        s[COSINE + i], s[DEPTH + i], s[FAR + i] = cosine, depth, far
+        s[COSINE + i], s[DEPTH + i] = cosine, depth
         s[X + i], s[Y + i], s[Z + i], s[AWAY + i] = point.x, point.y, point.z, point.distance
-
-
-@inlined_function
-def depth_of_surface(depth, plane_depth, upness):
-    """Return the depth that is drawn, and that of the place that is wetted.
-
-    The plane of the splats is far better on level ground, and can be wild on thin things. Along a
-    wall seen at a slant the splats' own depths scatter: there the plane is where the wall is wet.
-    """
-    drawn = plane_depth if upness > FLAT else depth
-    return drawn, plane_depth if abs(plane_depth - drawn) < WALL_SHARE * drawn else drawn
 
 
 @inlined_function
@@ -438,9 +380,8 @@ def color_pixels(look, mirror_apart, n, s):
     """Grade and wet the colours of n pixels."""
     for i in range(n):
         r, g, b, gloss, through, smooth = rainy_color(
-            s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[FAR + i], s[VIEW_Z + i],
-            s[COSINE + i], s[UPNESS + i], s[HEIGHT + i], s[LEVEL + i],
-            stored_wetness(s, WETNESS + i, CHUNK), look,
+            s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[VIEW_Z + i], s[COSINE + i],
+            s[UPNESS + i], s[HEIGHT + i], s[LEVEL + i], stored_wetness(s, WETNESS + i, CHUNK), look,
         )  # fmt: skip
         s[RED + i], s[GREEN + i], s[BLUE + i], s[THROUGH + i] = r, g, b, through
         s[SMOOTH + i] = smooth

@@ -16,12 +16,19 @@ import numpy as np
 
 from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, SURFACE_ALPHA, TWO, ZERO
 from rainsim.jit import inlined_function
-from rainsim.numerics.interpolation import bilinear, is_on_map, map_place, smoothstep
-from rainsim.shading.bodies import NO_BODIES, body_share
+from rainsim.numerics.interpolation import map_place, smoothstep
+from rainsim.shading.bodies import body_share
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import reflectance
-from rainsim.shading.grading import graded, is_edge, sky_share, surface_color
+from rainsim.shading.grading import graded, is_edge, surface_color
+from rainsim.shading.surface_point import (
+    SurfacePoint,
+    ground_share,
+    heights_of,
+    layer_at,
+    within,
+)
 from rainsim.shading.walls import damp_off_ground
 from rainsim.shading.wetness import Wetness, wetness_in
 
@@ -38,6 +45,7 @@ LEAST_ALBEDO, MOST_ALBEDO = np.float32(0.02), np.float32(0.8)
 LEAF_SHED, LAWN_SHED = np.float32(0.8), np.float32(0.9)
 COATED = np.float32(0.7)  # the same of smooth things: paint and glazes have a coat when dry; by eye
 GREENISH, GREEN = np.float32(0.2), np.float32(0.6)  # of yellow walls, and of leaves: what glosses
+LEAFY = np.float32(0.35)  # mean cosine of leaves to the vertical, where normals are noise
 LEAF_ALBEDO = np.float32(0.1)  # of leaves in the open, as of grass in classes.toml
 
 GLOSS = np.float32(0.3)  # of a smooth mirror: what a water film on rough stone reflects; by eye
@@ -57,33 +65,9 @@ UNLIKE, ALIKE = (
     np.float32(0.4),
     np.float32(0.8),
 )  # length of the mean of noisy normals; of fair ones
-FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level
-LEANS = np.float32(0.1)  # the same below which a surface counts as upright
-# Heights over the bed [m]: up to the first all is ground, from the second on what is upright is
-# not; up to the third what is level is ground, from the fourth on nothing is.
-FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
-LAYER_END = np.float32(1.5)  # the same over the thickness of a layer of splats about a poor bed
-NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
-WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
-TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
-SKY_SINE = np.float32(0.03)  # sine of the elevation above which there may be sky
 OPEN_LOW, OPEN_HIGH = np.float32(-0.12), np.float32(-0.06)  # sines from which an open sky shows
 HOLE, GAP = np.float32(0.2), np.float32(0.6)  # of a pixel left open: a flaw, and the sky
 LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
-
-
-class GroundMaps(NamedTuple):
-    """The mapped ground: its height and how wet each cell is; read-only."""
-
-    bed: np.ndarray  # (ny, nx) float32 [m]
-    wetness: np.ndarray  # (ny, nx, 4) float32, see `Wetness`
-    origin: np.ndarray  # (2,) float32 [m], corner of the first cell
-    spacing: np.float32  # m
-    bodies: np.ndarray = NO_BODIES  # (ny, nx, 3) or (0, 0, 3) uint8, see `bodies.body_map`
-    # How far from a poorly known bed the splats lie that show it, float32 [m], (ny, nx), less than
-    # two rows where it is known; and the most of it. See `on_bed`.
-    layer: np.ndarray = NO_LAYER
-    thickest_layer: np.float32 = ZERO
 
 
 class SkyMaps(NamedTuple):
@@ -92,18 +76,6 @@ class SkyMaps(NamedTuple):
     gloss: np.ndarray  # the surroundings, blurred as wet rough surfaces mirror them
     coat: np.ndarray  # the surroundings, blurred as a coat of water on a smooth thing mirrors them
     behind: np.ndarray  # the sky that is seen behind the scene
-
-
-class SurfacePoint(NamedTuple):
-    """A place on a captured surface: position [m], unit normal, distance from the eye [m]."""
-
-    x: np.float32
-    y: np.float32
-    z: np.float32
-    nx: np.float32
-    ny: np.float32
-    nz: np.float32
-    distance: np.float32
 
 
 @inlined_function
@@ -150,16 +122,16 @@ def open_share(y, look):
 
 
 @inlined_function
-def wetted(r, g, b, share, coat, wet, look):
-    """Return the graded colour of a surface of which a share is wet, the others being sky.
+def wetted(r, g, b, coat, wet, look):
+    """Return the graded colour of a wet surface.
 
     Each channel is darker by the ratio of wet to dry albedo, see `wet_channel`: colours get
     somewhat more saturated. Leaves and lawns darken less, for they shed water, and so do smooth
     things, of which a share is `coat`: most of them are painted or glazed, and look dry as they
     would under water.
     """
-    damp, green = wet.dampness * share, greenness(r, g, b)
-    amount = damp * (ONE - max(max(LEAF_SHED * green, LAWN_SHED * wet.lawn), COATED * coat))
+    green = greenness(r, g, b)
+    amount = wet.dampness * (ONE - max(max(LEAF_SHED * green, LAWN_SHED * wet.lawn), COATED * coat))
     amount *= look.wetness
     return (
         wet_channel(r, amount, wet.porosity, look), wet_channel(g, amount, wet.porosity, look),
@@ -178,14 +150,6 @@ def wet_channel(value, amount, porosity, look):
     ratio = wet_ratio(albedo)
     ratio += porosity * (min(filled_ratio(albedo), ratio) - ratio)
     return max(value, ZERO) * max(ONE - amount * (ONE - ratio), LEAST_LEFT)
-
-
-@inlined_function
-def within(ground, u, v):
-    """Return the column and row of the map that are nearest to u, v; 0 for NaN."""
-    # In this order NaN gives 0.
-    u = min(np.float32(ground.wetness.shape[1]) - TO_BORDER, max(ZERO, u))
-    return u, min(np.float32(ground.wetness.shape[0]) - TO_BORDER, max(ZERO, v))
 
 
 @inlined_function
@@ -237,7 +201,7 @@ def wetted_normal(r, g, b, height, point, around, layer):
     if layer > ZERO:
         # Normals are noise there: a wall is upright, leaves face any way.
         sure = smoothstep(UNLIKE, ALIKE, length)
-        z, leaf = sure * z + (ONE - sure) * leaf * HALF, ZERO
+        z, leaf = sure * z + (ONE - sure) * leaf * LEAFY, ZERO
     leaf = max(leaf, ground_share(height, max(point.nz, z), ZERO))
     leaf = leaf if square > np.float32(1e-6) else ONE
     x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
@@ -254,106 +218,6 @@ def with_normal(point, normal):
 
 
 @inlined_function
-def ground_share(height, upness, layer):
-    """Return how surely a surface at a height [m] over the bed is the ground, 0 to 1.
-
-    What is low is ground, however its splats lie; what is somewhat higher is if it is level. A step
-    of the cosine `upness` to the vertical would draw the noise of normals as patches. `layer` is
-    the thickness of the splats about a bed that is poorly known [m], 0 elsewhere.
-    """
-    foot = ONE - smoothstep(max(FOOT, layer), max(FOOT_END, LAYER_END * layer), height)
-    low = ONE - smoothstep(max(LOW, layer), max(HIGH, LAYER_END * layer), height)
-    return max(foot, low * smoothstep(LEANS, FLAT, upness))
-
-
-@inlined_function
-def layer_at(ground, u, v):
-    """Return the thickness of the splats about the bed at column u and row v [m]."""
-    if ground.layer.shape[0] < 2:
-        return ZERO
-    u, v = within(ground, u, v)
-    return bilinear(ground.layer, u, v)
-
-
-@inlined_function
-def on_bed(point, depth, drawn, x, y, z, ground):
-    """Return a surface point, its depth and the drawn depth, moved to the bed if it shows that.
-
-    Splats of poor ground lie before or behind it. The ray that shows one shows the ground where it
-    meets the bed, and the ground faces up.
-
-    Parameters
-    ----------
-    point : SurfacePoint
-    depth, drawn : float32 [m]
-        Along the view axis: of the point, and of what is drawn.
-    x, y, z : float32
-        Way [m] along the ray for a metre of depth; the point is `depth` of it from the eye.
-    ground : GroundMaps
-        Its bed is poorly known.
-    """
-    eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
-    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-    layer = layer_at(ground, u, v)
-    u, v = within(ground, u, v)
-    bed = bilinear(ground.bed, u, v)
-    share = ONE - smoothstep(layer, LAYER_END * layer, point.z - bed)
-    share = share if layer > ZERO else ZERO
-    if point.z < bed:  # nothing lies below the ground, whatever stands there
-        share = ONE
-    if not (share > ZERO and z < ZERO and eye_z > bed):
-        return point, drawn
-    to = (bed - eye_z) / z
-    u, v = map_place(eye_x + to * x, eye_y + to * y, ground.origin, ground.spacing)
-    u, v = within(ground, u, v)
-    to = (bilinear(ground.bed, u, v) - eye_z) / z
-    e = depth + share * (to - depth)
-    nx, ny, nz = (ONE - share) * point.nx, (ONE - share) * point.ny, point.nz
-    nz += share * (ONE - nz)
-    inv = ONE / max(math.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-6))
-    place = SurfacePoint(
-        eye_x + e * x, eye_y + e * y, eye_z + e * z, nx * inv, ny * inv, nz * inv,
-        point.distance * (e / depth),
-    )  # fmt: skip
-    return place, drawn + share * (to - drawn)
-
-
-@inlined_function
-def heights_over(bed, z, inside, solid):
-    """Return what `heights_of` does, of a surface at z [m] over a bed that is known if `inside`."""
-    clearance, height = z - bed if inside else FAR_AWAY, z - bed if inside else z
-    return clearance if solid else FAR_AWAY, height if solid else FAR_AWAY
-
-
-@inlined_function
-def heights_of(point, solid, ground):
-    """Return where a surface is over the ground.
-
-    Parameters
-    ----------
-    point : SurfacePoint
-    solid : bool
-        Whether there is a surface at all.
-    ground : GroundMaps
-
-    Returns
-    -------
-    clearance : float32 [m]
-        Height over the bed; FAR_AWAY without a surface, and off the map. Poorly known ground goes
-        on beyond the map as at its border.
-    height : float32 [m]
-        The same, but off the map the height over the ground plane.
-    """
-    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-    inside = ground.thickest_layer > ZERO or is_on_map(u, v, ground.bed)
-    bed = ZERO
-    if inside and solid:
-        u, v = within(ground, u, v)
-        bed = bilinear(ground.bed, u, v)
-    return heights_over(bed, point.z, inside, solid)
-
-
-@inlined_function
 def wet_state(point, clearance, height, level, ground, rain):
     """Return how wet a surface is that is ground by a share `level`.
 
@@ -365,7 +229,8 @@ def wet_state(point, clearance, height, level, ground, rain):
     off = Wetness(ZERO, ZERO, ZERO, ZERO)
     if mapped < ONE:
         body = body_of(point, clearance, ground)
-        off = off_ground(rain, damp_off_ground(rain, point, height, body), body)
+        noisy = ground.thickest_layer > ZERO
+        off = off_ground(rain, damp_off_ground(rain, point, height, body, noisy), body)
     if mapped == ZERO:
         return off
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
@@ -396,7 +261,7 @@ def mirror_cover(point, clearance, level, wet, ground, look):
 
 
 @inlined_function
-def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, wet, look):
+def rainy_color(r, g, b, alpha, sine, cosine, upness, height, level, wet, look):
     """Return a captured surface's colour in the rain, and the shares of gloss and of sky.
 
     Level surfaces gloss as rough stone does. A leaf is a mirror of its own: its facet reflects by
@@ -410,7 +275,6 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, w
         Captured linear colour, see `undiluted`.
     alpha : float32
         Share of the pixel that the surface covers.
-    distance : float32 [m]
     sine : float32
         Of the elevation that the surface is seen at.
     cosine : float32
@@ -433,13 +297,9 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, w
     smooth : float32
         How far the gloss is that of a leaf, 0 to 1, or MIRROR, see `glossed`.
     """
-    sky, gloss, surface, smooth = ZERO, ZERO, ONE, ZERO
-    if distance > look.sky_distance and sine > SKY_SINE:
-        sky = sky_share(r, g, b)
-        surface = ONE - sky
-        sky *= look.sky_replaced
+    gloss, smooth = ZERO, ZERO
     r, g, b = graded(r, g, b, look)
-    if wet.dampness * surface > ZERO:
+    if wet.dampness > ZERO:
         thing = ONE - level
         leaf = thing * smoothstep(GREENISH, GREEN, greenness(r, g, b))
         coat = (thing - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
@@ -451,7 +311,7 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, w
         film = wet.film * look.wetness
         covered = min(film, ONE) * coat_gloss  # a coat mirrors no more than all that it can
         gloss = film * (gloss + leaf * open_share(luminance(r, g, b), look)) + covered
-        r, g, b = wetted(r, g, b, surface, coat, wet, look)
+        r, g, b = wetted(r, g, b, coat, wet, look)
         if gloss > ZERO:
             least = GRAZING + leaf * (LEAF_GRAZING - GRAZING) + coat * (COAT_GRAZING - GRAZING)
             share = reflectance(look.law, max(cosine, least))
@@ -459,17 +319,17 @@ def rainy_color(r, g, b, alpha, distance, sine, cosine, upness, height, level, w
             edge = smoothstep(ZERO, EDGE_COSINE + coat * (COAT_EDGE - EDGE_COSINE), cosine)
             share *= level + thing * edge
             gloss *= share
-            out = ONE - covered * surface * share  # what the coat lets out to the eye
+            out = ONE - covered * share  # what the coat lets out to the eye
             r, g, b = r * out, g * out, b * out
-    # The sky of the day replaces the captured sky and fills what no splat covers. Many captures
-    # leave dark places half open: those are not sky. Below the horizon, where a capture ends before
-    # it, the map has dull ground in haze; `skyline` says in which directions it is open.
-    through, keep = alpha * sky, ONE - sky
+    # The sky of the day fills what no splat covers. Many captures leave dark places half open:
+    # those are not sky. Below the horizon, where a capture ends before it, the map has dull ground
+    # in haze; `skyline` says in which directions it is open.
+    keep = ONE
     if look.open_sky > ZERO:
-        keep *= alpha if is_edge(alpha, look) else ONE
-        through += (ONE - alpha) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
+        keep = alpha if is_edge(alpha, look) else ONE
+        through = (ONE - alpha) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
     else:
-        through += (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
+        through = (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
     return r * keep, g * keep, b * keep, gloss * keep, through, smooth
 
 
@@ -487,7 +347,7 @@ def glossed(x, y, z, cosine, nx, ny, nz, smooth):
 
 
 @inlined_function
-def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, look, mirror_apart):
+def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_apart):
     """Return the radiance of a captured point in the rain: all formulas put together.
 
     Parameters
@@ -497,10 +357,8 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     alpha : float32
     ray : tuple of 3 float32
         Unit direction of view.
-    distance : float32 [m]
-        To what is drawn.
     point : SurfacePoint
-        Where it is wetted: on walls its distance may be another one than `distance`.
+        Where it is wetted.
     around : tuple of 3 float32
         Unit normal of the neighbourhood, see `smooth_normals`; or the point's own.
     ground : GroundMaps
@@ -529,7 +387,7 @@ def wet_pixel(color, alpha, ray, distance, point, around, ground, rain, sky, loo
     wet = wet_state(point, clearance, height, level, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
-        r, g, b, alpha, distance, z, cosine, point.nz, height, level, wet, look
+        r, g, b, alpha, z, cosine, point.nz, height, level, wet, look
     )
     cover = ZERO
     if mirror_apart and level > ZERO:

@@ -25,67 +25,106 @@ STEP = 0.25  # logarithm of a channel between texels of the sky, at most
 # Captures whose harmonics were cut off (.splat) have .12 where whole ones have .03.
 NEAR = 0.16
 SAME = 0.35  # logarithm of a channel by which a pixel differs from the map
+GREY = 0.8  # logarithm of blue over red, up to which a sky is covered with clouds
+RIVAL = 0.1  # of the largest part of the map, from which on a brighter one is sky
+BRIGHT_LAND = 0.05  # of the pixels of a grey sky, that may be brighter
 LIKE_LAND = 0.5  # share of what lies below the horizon that may differ so little from the map
 SEEN = 45, 180  # rows and columns of the map of where the sky is seen
 LEAST_SEEN = 0.02  # share of the pixels that look in a direction, that show the sky
 LEAST_TEXELS = 6  # that show the sky
 LEAST_PIXELS = 30  # of a texel
+EQUAL = 0.08  # the same, up to which all pictures have one exposure
+ROUNDS, MOST_EXPOSURE = 3, 0.7  # of finding exposures; logarithm of one, at most
+SAME_EXPOSURE = 0.2  # share of the texels that a camera sees, that one exposure must explain
+# A region that ends below the edge of the picture is sky if it is a gap between leaves, of so many
+# pixels at most, of which one at least is clear sky; panes mirror a part of the sky's light.
+GAP, CLEAR = 400, 0.05
+RIM = 3  # px beside the sky, that show either
+CLOUD = 0.5  # share of the pixels just below a cloud that are sky
 
 
 class SkyColors:
     """The colour of the captured sky by direction.
 
     `color`, (ROWS, COLUMNS, 3), is the logarithm of linear light, row 0 at the horizon; None: no
-    camera sees the sky.
+    camera sees the sky. `exposure`, (views,), is the logarithm by which each view is brighter than
+    that: a camera that exposes each picture by itself shows one sky in many shades.
     """
 
     def __init__(self, views):
-        found = [[] for _ in range(ROWS * COLUMNS)]  # of each texel: a colour for each camera
-        for view in views:
-            direction = directions(view)
-            likely = _likely(view, direction)
-            texel = _texels(direction)[likely]
-            color = np.log(np.clip(view.light[likely], 0.01, 1.0))
-            order = np.argsort(texel, kind="stable")
-            texel, color = texel[order], color[order]
-            first = np.flatnonzero(np.diff(texel, prepend=-1))
-            for start, stop in zip(first, np.append(first[1:], len(texel)), strict=False):
-                if stop - start >= LEAST_PIXELS:
-                    found[texel[start]].append(np.median(color[start:stop], axis=0))
-        color, spread = np.full((ROWS * COLUMNS, 3), np.nan), np.full(ROWS * COLUMNS, np.nan)
-        for n, seen in enumerate(found):
-            if seen:
-                # What hides the sky from some cameras is darker.
-                bright = np.sum(seen, axis=1)
-                color[n] = seen[np.argsort(bright)[int(BRIGHTER * (len(seen) - 1) + 0.5)]]
-                away = np.abs(np.array(seen) - color[n]).max(axis=1)
-                spread[n] = np.median(away) if len(seen) > 1 else np.nan
-        shape = ROWS, COLUMNS
-        self.color = _completed(color.reshape(*shape, 3), spread.reshape(shape))
-        if self.color is not None and self._like_land(views) > LIKE_LAND:
-            self.color = None  # fog, or a room of one grey: no colour tells the sky from a wall
+        camera, texel, seen = _seen(views)
+        self.exposure = np.zeros(len(views))
+        color, spread = _median_map(texel, seen)
+        known = _highest_part(color)
+        if _median_of(spread, known) > EQUAL:
+            for _ in range(ROUNDS):
+                several = known & np.isfinite(spread)
+                self.exposure = _exposures(len(views), camera, texel, seen, color, several)
+                color, spread = _median_map(texel, seen - self.exposure[camera, None])
+                known = _highest_part(color)
+        self.color = _completed(color, spread, known)
+        if self.color is not None and self._is_doubtful(views):
+            self.color = None
 
-    def _like_land(self, views):
-        """Return the share of the pixels below the horizon that have the map's colour."""
-        alike = below = 0
-        for view in views:
-            direction = directions(view)
-            low = direction[..., 2] < 2 * LOWEST
-            below += np.count_nonzero(low)
-            alike += np.count_nonzero(self.off(view.light, direction)[low] < SAME)
-        return alike / max(below, 1)
+    def _is_doubtful(self, views):
+        """Tell whether the map's colour is also that of land, so that it tells no sky.
+
+        Fog, or a room of one grey, has it below the horizon, too. And under a grey sky nothing is
+        brighter than the sky: else it is a pale wall.
+        """
+        alike = below = sky = brighter = 0
+        for view, exposure in zip(views, self.exposure, strict=True):
+            direction = directions(view)[::2, ::2]
+            more = self._more(view.light[::2, ::2], direction, exposure)
+            near, high = np.abs(more).max(axis=-1) < SAME, direction[..., 2]
+            below += np.count_nonzero(high < 2 * LOWEST)
+            alike += np.count_nonzero(near & (high < 2 * LOWEST))
+            sky += np.count_nonzero(near & (high > -LOWEST))
+            brighter += np.count_nonzero((more.min(axis=-1) > SAME) & (high > -LOWEST))
+        if alike > LIKE_LAND * max(below, 1):
+            return True
+        return _is_grey(self.color.reshape(-1, 3)) and brighter > BRIGHT_LAND * max(sky, 1)
+
+    def _more(self, light, direction, exposure):
+        """Return the logarithm by which a view's light exceeds the sky, (..., 3)."""
+        return np.log(np.clip(light, 0.01, 1.0)) - np.float32(exposure) - self.at(direction)
 
     def off(self, light, direction):
         """Return the logarithm by which linear light (..., 3) differs from the sky, (...)."""
         return np.abs(np.log(np.clip(light, 0.01, 1.0)) - self.at(direction)).max(axis=-1)
 
-    def shown(self, view):
-        """Return which pixels of a `DepthView` show the sky, bool (height, width)."""
+    def parts(self, views):
+        """Return what the pixels of each `DepthView` show, a list of int8 (height, width).
+
+        1: the sky; -1: something else; 0: either.
+        """
         if self.color is None:
-            return np.zeros(view.depth.shape, bool)
+            return [np.full(view.depth.shape, -1, np.int8) for view in views]
+        return [self._parts(*pair) for pair in zip(views, self.exposure, strict=True)]
+
+    def _parts(self, view, exposure):
+        """Return what the pixels of a view show, region by region, see `parts`.
+
+        A region of the sky has the sky's colour, or is a cloud, and goes on past the edge of the
+        picture where it is highest. A pane, a pale roof or a white house ends below that.
+        """
         direction = directions(view)
-        near = (self.off(view.light, direction) < SAME) & (direction[..., 2] > LOWEST)
-        return ndimage.median_filter(near, 3)
+        high = direction[..., 2]
+        more = self._more(view.light, direction, exposure)
+        off = np.abs(more).max(axis=-1)
+        near = ndimage.median_filter((off < SAME) & (high > LOWEST), 3)
+        cloud = ~near & (more.min(axis=-1) > -SAME) & (high > LOWEST)
+        sky = near | _clouds(cloud, near, high)
+        label, count = ndimage.label(sky)
+        number = np.arange(1, count + 1)
+        top = np.array(ndimage.maximum_position(high, label, number)).reshape(-1, 2)
+        good = ((top == 0) | (top == np.array(high.shape) - 1)).any(axis=1)
+        size = np.bincount(label.ravel())[1:]
+        gap = (ndimage.minimum(off, label, number) < CLEAR) & (size < GAP)
+        good |= gap & (ndimage.mean(off, label, number) < NEAR)
+        shown = np.concatenate([[False], good])[label]
+        either = (sky | ndimage.binary_dilation(shown, iterations=RIM)) & ~shown
+        return np.where(shown, 1, np.where(either, 0, -1)).astype(np.int8)
 
     def at(self, direction):
         """Return the logarithm of the sky's colour in directions (..., 3)."""
@@ -147,25 +186,118 @@ def _texels(direction):
     return row * COLUMNS + column % COLUMNS
 
 
-def _completed(color, spread):
-    """Return a map of the sky without holes, None if too little of it is sky.
+def _seen(views):
+    """Return camera, texel and logarithm of the colour (3) of what may be sky, of each texel."""
+    found = [], [], []
+    for n, view in enumerate(views):
+        direction = directions(view)
+        likely = _likely(view, direction)
+        texel = _texels(direction)[likely]
+        color = np.log(np.clip(view.light[likely], 0.01, 1.0))
+        order = np.argsort(texel, kind="stable")
+        texel, color = texel[order], color[order]
+        first = np.flatnonzero(np.diff(texel, prepend=-1))
+        for start, stop in zip(first, np.append(first[1:], len(texel)), strict=False):
+            if stop - start >= LEAST_PIXELS:
+                one = n, texel[start], np.median(color[start:stop], axis=0)
+                for values, value in zip(found, one, strict=True):
+                    values.append(value)
+    camera, texel, color = found
+    return np.array(camera, int), np.array(texel, int), np.array(color).reshape(-1, 3)
+
+
+def _median_map(texel, seen):
+    """Return the colours (ROWS, COLUMNS, 3) that cameras saw, and how far these differ."""
+    color, spread = np.full((ROWS * COLUMNS, 3), np.nan), np.full(ROWS * COLUMNS, np.nan)
+    for n in np.unique(texel):
+        own = seen[texel == n]
+        # What hides the sky from some cameras is darker.
+        bright = np.sum(own, axis=1)
+        color[n] = own[np.argsort(bright)[int(BRIGHTER * (len(own) - 1) + 0.5)]]
+        if len(own) > 1:
+            spread[n] = np.median(np.abs(own - color[n]).max(axis=1))
+    return color.reshape(ROWS, COLUMNS, 3), spread.reshape(ROWS, COLUMNS)
+
+
+def _median_of(spread, known):
+    """Return the median of how far cameras differ in known texels, 0 where no two saw any."""
+    both = known & np.isfinite(spread)
+    return np.median(spread[both]) if both.any() else 0.0
+
+
+def _exposures(count, camera, texel, seen, color, several):
+    """Return the logarithm by which each camera is brighter than the map, where `several` saw it.
+
+    One factor must do for all channels of many texels. Walls that differ from the sky by one factor
+    are many, too: of such factors the least is taken. 0 without any.
+    """
+    exposure = np.zeros(count)
+    more = seen - color.reshape(-1, 3)[texel]
+    for n in np.unique(camera):
+        own = more[(camera == n) & several.ravel()[texel]]
+        factor = own.mean(axis=1)
+        alike = np.abs(own[:, None] - factor[:, None]).max(axis=-1) < STEP  # of texel, to factor
+        good = alike.sum(axis=0) >= max(SAME_EXPOSURE * len(own), LEAST_TEXELS / 2)
+        good &= np.abs(factor) < MOST_EXPOSURE
+        if good.any():
+            least = np.flatnonzero(good)[np.argmin(np.abs(factor[good]))]
+            exposure[n] = np.median(factor[alike[:, least]])
+    return exposure
+
+
+def _clouds(cloud, sky, high):
+    """Return which regions of bright pixels are clouds: below them is sky again, mostly.
+
+    A gable before the sky has land below it. `high` is the sine of the elevation.
+    """
+    label, count = ndimage.label(cloud)
+    down = np.array([np.median(np.diff(high, axis=axis)) for axis in (0, 1)])
+    axis = np.argmax(np.abs(down))
+    step = -int(np.sign(down[axis])) or 1  # to the next pixel below
+    below = np.roll(label, -step, axis) != label
+    edge = [slice(None)] * 2
+    edge[axis] = slice(-1, None) if step > 0 else slice(0, 1)
+    below[tuple(edge)] = False  # what the picture cuts off
+    lower = np.bincount(label[below], minlength=count + 1)
+    open_ = np.bincount(label[below & np.roll(sky, -step, axis)], minlength=count + 1)
+    good = open_ > CLOUD * lower
+    good[0] = False
+    return good[label]
+
+
+def _highest_part(color):
+    """Return which texels of a map are sky, bool (ROWS, COLUMNS).
 
     Of the parts of the map that are smooth in themselves the sky is the one that is highest and
     widest; a wall that hides it is another. Where it stands near, what is seen in one direction
     differs from camera to camera.
     """
-    row, column = np.mgrid[:ROWS, :COLUMNS]
-    high, turn = (row + 0.5) / ROWS * np.pi / 2, (column + 0.5) / COLUMNS * 2 * np.pi
+    high = (np.arange(ROWS) + 0.5)[:, None] / ROWS * np.pi / 2
     known = np.isfinite(color[..., 0])
     part = _parts(color, known)
     if part is None:
-        return None
-    weight = np.bincount(part[known], (np.sin(high) * np.cos(high))[known])
-    known &= part == np.argmax(weight)
-    told = known & np.isfinite(spread)
-    if np.count_nonzero(known) < LEAST_TEXELS:
-        return None
-    if told.any() and np.median(spread[told]) > NEAR:
+        return known
+    size = np.broadcast_to(np.sin(high) * np.cos(high), part.shape)
+    weight = np.bincount(part[known], size[known])
+    light = np.bincount(part[known], size[known] * color[known].mean(axis=-1))
+    light /= np.maximum(weight, 1e-9)
+    best = np.argmax(weight)
+    if _is_grey(color[known & (part == best)]):  # under a grey sky nothing is brighter
+        rivals = (light > light[best] + SAME) & (weight > RIVAL * weight[best])
+        best = np.argmax(weight * rivals) if rivals.any() else best
+    return known & (part == best)
+
+
+def _is_grey(color):
+    """Tell whether logarithms of colours (n, 3) are those of a grey sky."""
+    return np.median(color[:, 2] - color[:, 0]) < GREY
+
+
+def _completed(color, spread, known):
+    """Return a map of the sky without holes, None if too little of it is sky, `known`."""
+    row, column = np.mgrid[:ROWS, :COLUMNS]
+    high, turn = (row + 0.5) / ROWS * np.pi / 2, (column + 0.5) / COLUMNS * 2 * np.pi
+    if np.count_nonzero(known) < LEAST_TEXELS or _median_of(spread, known) > NEAR:
         return None
     x, y, z = np.cos(high) * np.cos(turn), np.cos(high) * np.sin(turn), np.sin(high)
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, z * z], -1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -27,10 +26,15 @@ SHADE = "shade "  # before the names of what is kept of it
 FEWEST = 100  # splats
 # Shares of the light that a splat gives to pictures, that goes to the sky: of one that is sky, and
 # of one that is sky if it is as bright or alone and about as blue.
-MOSTLY, LIKELY = 0.5, 0.2
-HIDDEN = 2.0  # times as much of a splat must lie in pixels of the sky as it gives light to others
+MOSTLY, LIKELY = 0.5, 0.3
+# What lies in pixels of the sky, times what a splat gives to others; at most this share of it is
+# seen where the sky hides it, so that it would come to light without. Or so many cameras have it
+# hidden by the sky, for each to which it gives light elsewhere: it hangs before one camera.
+HIDDEN, VEILED, OFTENER, LEAST = 0.7, 0.5, 3, 3
+SPECK = 0.5  # px, of light from which on a camera sees a splat
+BELOW = -0.1  # sine of the elevation from the middle: lower is what the sky hides nowhere
 BRIGHT, ABOUT_SKY = 0.75, 1.8  # of the sky's luminance; logarithm of a channel off its colour
-RIM, EVERY = 3, 2  # px beside the sky, that show either; every so many pixels are asked
+EVERY = 2  # px: every so many pixels of every so many rows are asked
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
 STOPS, LARGEST = 0.3, 0.3  # share of light that a solid splat stops; its deviation [m], at most
 FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
@@ -47,6 +51,7 @@ class Found(NamedTuple):
 
     surface: CaptureSurface
     sky: np.ndarray  # (n,), bool, splats that are sky
+    aloft: np.ndarray  # (n,), bool, that lie before the sky, and give land no more light than that
     middle: np.ndarray  # (3,), float32, m, of what the cameras look at, in the ground frame
     solid: np.ndarray  # (m, 10), float32
     open: np.ndarray  # (rows, columns), bool, see `captured_sky.seen_sky`
@@ -54,6 +59,7 @@ class Found(NamedTuple):
     shade: GroundShade | None = None  # on the ground; None: none is sure
 
 
+OWN = "sky", "aloft", "middle", "solid", "open"  # arrays of a `Found` itself
 _last = [None, None]  # name of the result that was asked for last, and the result
 
 
@@ -69,8 +75,7 @@ def kept_surface(scene):
         entry = cache.read(KIND, name)
         if entry is None:
             found = find_surface(scene)
-            arrays = {"sky": found.sky, "middle": found.middle, "open": found.open,
-                      "solid": found.solid}  # fmt: skip
+            arrays = {name: getattr(found, name) for name in OWN}
             arrays |= found.surface._asdict()
             facts = {"half": found.half}
             for key, value in () if found.shade is None else found.shade._asdict().items():
@@ -78,7 +83,7 @@ def kept_surface(scene):
             cache.write(KIND, name, facts, arrays)
         else:
             facts, arrays = entry
-            own = [arrays.pop(name) for name in ("sky", "middle", "solid", "open")]
+            own = [arrays.pop(name) for name in OWN]
             shade = None
             if SHADE + "area" in facts:
                 kept = facts | {key: arrays.pop(key) for key in list(arrays) if SHADE in key}
@@ -101,19 +106,22 @@ def find_surface(scene):
     rasterizer = Rasterizer(prepare(splats))
     views = depth_views(scene, cameras, rasterizer)
     colors = SkyColors(views)
-    shown = [colors.shown(view) for view in views]
+    parts = colors.parts(views)
+    shown = [part > 0 for part in parts]
     leave_out_sky(views, shown)
     surface = fused(views, middle, half)
     near = _nearest(surface.position, position, good)
     sky = np.zeros(len(position), bool)
+    aloft = np.full(len(position), not scene.cameras)
     if colors.color is not None:
-        pictures = list(zip(views, cameras, shown, strict=True))
+        pictures = list(zip(views, cameras, parts, strict=True))
         alone = _alone(near, surface)
-        sky = good & _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
+        sky, aloft = _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
+        sky &= good
     solid = _solid(position, near, splats, good & ~sky, views, frame, surface)
     picture = ground_picture(views)
     shade = None if picture is None else ground_shade(picture)
-    return Found(surface, sky, middle, solid, seen_sky(views, shown), half, shade)
+    return Found(surface, sky, aloft, middle, solid, seen_sky(views, shown), half, shade)
 
 
 def _solid(position, near, splats, good, views, frame, surface):
@@ -172,11 +180,11 @@ def _nearest(places, position, good=None):
     return away, place
 
 
-def splat_normals(scene, found):
+def splat_normals(scene, found, sky):
     """Return normals of the surface at a scene's splats (n, 3), and how sure they are (n,).
 
     In the capture frame, float32. What a picture shows of a wall then faces one way, however its
-    splats lie.
+    splats lie. Splats of the sky, (n,) bool, face down: rain does not wet them.
     """
     surface, frame = laid_on_walls(found.surface), scene.ground_frame
     normal, share = np.zeros((len(scene.splats), 3), np.float32), np.zeros(len(scene.splats), "f4")
@@ -208,25 +216,29 @@ def splat_normals(scene, found):
         share[which[lost]] = np.clip(away[lost, 0] / LOST - 1, 0, 1)
 
     in_blocks(work, len(good), 1 << 14)
+    normal[sky], share[sky] = (0, 0, -1), 1
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
 
 
 def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
-    """Return which splats are sky, bool (n,).
+    """Return which splats are sky, bool (n,), and which may be: `aloft` of `Found`.
 
     The light that a splat gives to pixels that show the sky, and to those that show something else,
     tells it. Its own colour tells little: splats of a trained sky lie before one another, and some
     are white, some yellow and some dark, so that together they are blue. What is darker than the
     sky and narrower than a pixel may be a twig that hardly darkens the pixel. Pixels beside the sky
-    show either: they count against a splat, but not against one as bright as the sky.
+    show either: they count against a splat, but not against one as bright as the sky. What the sky
+    hides in the pictures, of any colour, would come to light once the sky is left out: needles.
     """
     frame, light = scene.ground_frame, np.zeros((len(position), 4))
-    for view, camera, sky in pictures:
-        rim = ndimage.binary_dilation(sky, iterations=RIM)
-        part = np.where(sky, 1, np.where(rim, 0, -1)).astype(np.int8)
+    lit, veiled = np.zeros((2, len(position)), np.int16)  # cameras
+    for view, camera, part in pictures:
         height, width = view.depth.shape
         camera = camera.resized(width, height)
-        light += rasterizer.weigh(camera, NEAR / frame.meters_per_unit, part, EVERY)
+        one = rasterizer.weigh(camera, NEAR / frame.meters_per_unit, part, EVERY)
+        light += one
+        lit += one[:, 0] + one[:, 2] > SPECK
+        veiled += (one[:, 3] > SPECK) & (one[:, 1] < VEILED * one[:, 3])
     land, sky, beside, before_sky = light.T
     seen = land + sky + beside
     with np.errstate(invalid="ignore"):  # 0 / 0 of those that no camera sees, and absurd splats
@@ -240,6 +252,11 @@ def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
         alike = alone & (off < ABOUT_SKY)
         found = (sky / seen > MOSTLY) & (bright | alike | wide)
         likely = (sky / (land + sky) > LIKELY) & (bright | alike)
-    hidden = (before_sky > HIDDEN * (land + beside)) & (alike | wide | (off < SAME))
+    high, hidden = direction[:, 2], before_sky > HIDDEN * (land + beside)
+    needle = hidden & (sky < VEILED * before_sky) & (before_sky > 4 * SPECK)
+    needle |= (veiled > OFTENER * lit) & (veiled >= LEAST)
+    hidden &= alike | wide | (off < SAME)
     unseen = (before_sky + seen == 0) & alone & (off < SAME)
-    return found | ((likely | hidden | unseen) & (direction[:, 2] > 0))
+    aloft = (land <= sky) & (before_sky > 0)
+    found |= ((likely | hidden | unseen) & (high > 0)) | (needle & (high > BELOW))
+    return found, aloft

@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from rainsim import raster
 from rainsim.terrain import bed as bedding
-from rainsim.terrain.types import INFERRED, UNKNOWN
+from rainsim.terrain.pictures import seen_points
+from rainsim.terrain.types import INFERRED, UNKNOWN, Grid
 
 WINDOW = 0.45  # of the cameras' height about the level, within which splats tell the scatter
-WITHOUT_CAMERAS = 1.6  # m, taken for the cameras' height where there are none
 POOR = 0.06  # of the cameras' height: root mean square from which on the ground is not known
 CELL = 1.0  # m, in which the splats below the level are gathered
 LEAST_COVER = 0.05  # of a cell by such splats, for it to count
@@ -22,20 +23,24 @@ ALONG = 5.0  # of the cameras' height: how far along a path its cameras tell the
 FEWEST, SLOW = 6, 0.5  # cameras of a path; share of their rise that may differ from one to the next
 # How far from the bed splats lie that show it, in times their scatter: near things, and elsewhere;
 # where cameras went, in their heights.
-NEAR, LAYER, WENT = 1.0, 3.0, 0.63
+NEAR, LAYER, WENT = 1.0, 2.5, 0.5
 BESIDE = 0.3  # m about things, that is near them
 STEP, WIDE = 4.0, 0.5  # cameras' heights: longest step from camera to camera; half a path's width
-SPREADS, LEAST_ALPHA = (0.25, 0.5, 1.0, 2.0, 4.0), 0.1  # m about splats that show the ground
+PICTURES, WIDTH = 48, 240  # of a capture, that are laid on the ground, at most; px
+FARTHEST = 20.0  # cameras' heights to the ground that they show
+PATCH = 0.1  # m, cells of the ground's colours
+SPREADS, LEAST_SEEN = (0.0, 0.15, 0.5, 1.5, 4.0), 0.02  # m about seen cells; share of them
 THICK = 0.06  # m about the places of things, that they fill
 STANDS = 0.5  # m over the layer of the ground, up to which what begins there stands on it
 # Power spectral density of the height of a road along a line, G (n / N0)^-2 [m3] at n waves per
 # metre: ISO 8608:2016, class C ("average"), geometric mean of its range.
 DENSITY, N0 = 256e-6, 0.1  # m3, 1/m
-WAVES = 4.0, 2.0, 1.0, 0.5, 0.25  # m, the octaves that are drawn; longer ones are slopes
+WAVES = 4.0, 2.0, 1.0  # m, the octaves that are drawn; longer ones are slopes
 OCTAVE = 2**0.5 - 2**-0.5  # integral of n^-2 over an octave about n, times n
 # Variance of the random coefficients over that of an octave: splines spread a part of it to longer
-# waves. The density is then met within 10 % from 0.2 to 1.4 waves per metre.
-COEFFICIENTS = 14.0
+# waves. The density is then met within 15 % from 0.2 to 0.6 waves per metre; shorter waves would
+# draw hollows of a hand's width, which joints and stones decide and not the bed.
+COEFFICIENTS = 20.0
 
 
 def scatter_of(above, position, cover, height):
@@ -72,6 +77,9 @@ class PoorGround:
 
     Parameters
     ----------
+    scene : Scene
+    grid : Grid
+        Of the whole map.
     scatter : float [m]
         See `scatter_of`.
     height : float [m]
@@ -86,24 +94,32 @@ class PoorGround:
         How far from the bed most splats lie that show it.
     """
 
-    def __init__(self, scatter, height, eyes):
+    def __init__(self, scene, grid, scatter, height, eyes):
+        self._scene, self._grid, self._colors = scene, grid, None
         self._scatter, self._height = scatter, height
         self._eyes = eyes[np.abs(eyes[:, 2] - height) < WINDOW * height]  # others are misplaced
         self.level = level_below(self._eyes)
         self.layer = min(LAYER * scatter, WENT * height)
 
     @classmethod
-    def of(cls, scene, above, position, cover):
-        """Return the poor ground of a scene, None if it is well known; see `scatter_of`."""
-        eyes = [scene.ground_frame.to_ground(camera.position) for camera in scene.cameras]
-        eyes = np.array(eyes, np.float64).reshape(-1, 3)
-        height = max(float(np.median(eyes[:, 2])), 0.1) if len(eyes) else WITHOUT_CAMERAS
+    def of(cls, scene, grid, above, position, cover):
+        """Return the poor ground of a scene; None if it is well known, or without cameras."""
+        if not scene.cameras:
+            return None
+        eyes = np.array([scene.ground_frame.to_ground(c.position) for c in scene.cameras])
+        height = max(float(np.median(eyes[:, 2])), 0.1)
         scatter = scatter_of(above, position, cover, height)
-        return cls(scatter, height, eyes) if scatter else None
+        return cls(scene, grid, scatter, height, eyes) if scatter else None
 
-    def bed(self, seen, grid):
-        """Return what `bed_of` does."""
-        return bed_of(seen, grid, self.level)
+    def bed(self, grid):
+        """Return what `bed_of` does, of a part of the map."""
+        if self._colors is None:
+            size = np.array(self._grid.shape[::-1]) * self._grid.spacing
+            shape = tuple(int(n) for n in np.ceil(size / PATCH).astype(int)[::-1])
+            patches = Grid(shape, self._grid.origin, PATCH)
+            colors = laid_colors(self._scene, patches, self.level, self.layer, self._height)
+            self._colors = patches, *filled(*colors)
+        return bed_of(*self._colors, grid, self.level)
 
     def cover(self, places, grid, bed, ceiling):
         """Return what `cover` does, of `places` on which cameras agree, (n, 3) [m]."""
@@ -142,46 +158,105 @@ def level_below(eyes):
     return lambda x, y: np.zeros(np.size(x))
 
 
-def bed_of(seen, grid, level):
-    """Return bed [m], source, noise [m], colour and excess green of ground that is poorly known.
+def laid_colors(scene, grid, level, layer, height):
+    """Return the colours of the ground in the cameras' pictures, (ny, nx, 3), and where it is seen.
 
-    Sheets before the cameras hardly cover the ground that they show, seen from above: so each cell
-    has the colour of what is near, within the least of SPREADS that shows enough.
+    Each pixel that shows it is laid where its ray meets the level. Near pixels count more, by the
+    square of their distance.
 
     Parameters
     ----------
-    seen : rainsim.terrain.extract.Seen
-        The splats about the bed, from above.
+    scene : Scene
+    grid : Grid
+    level : callable
+        See `level_below`.
+    layer : float [m]
+        How far from the bed the splats lie that show it.
+    height : float [m]
+        Of the cameras.
+    """
+    frame, total = scene.ground_frame, np.zeros((grid.shape[0] * grid.shape[1], 4))
+    drawn = raster.Rasterizer(raster.prepare(scene.splats))
+    for camera in scene.cameras[:: max(1, -(-len(scene.cameras) // PICTURES))]:
+        width = min(WIDTH, camera.width)
+        camera = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+        layers = drawn.draw(camera, 0.05 / frame.meters_per_unit)
+        view = frame.camera_in_ground(camera)
+        place, distance = seen_points(view, layers.depth * frame.meters_per_unit)
+        with np.errstate(all="ignore"):
+            down = (view.position[2] - place[..., 2]) / distance
+            above = place[..., 2] - level(place[..., 0], place[..., 1]).reshape(distance.shape)
+            # The way along the ray to the plane at the level below the camera.
+            floor = float(level(*view.position[:2, None])[0])
+            way = (view.position[2] - floor) / down / distance
+            hit = view.position + way[..., None] * (place - view.position)
+            far = way * distance
+        ground = (layers.alpha > 0.5) & (above < layer) & (down > 0) & (far < FARTHEST * height)
+        row, column, inside = grid.cells(hit[ground][:, 0], hit[ground][:, 1])
+        cell = (row * grid.shape[1] + column)[inside]
+        weight = 1 / np.maximum(far[ground][inside], 0.3) ** 2
+        values = np.column_stack([layers.color[ground][inside], np.ones(len(cell))])
+        for k in range(4):
+            total[:, k] += np.bincount(cell, weight * values[:, k], minlength=len(total))
+    seen = total[:, 3] > 0
+    total[seen, :3] /= total[seen, 3:]
+    return total[:, :3].reshape(*grid.shape, 3).astype(np.float32), seen.reshape(grid.shape)
+
+
+def filled(color, seen):
+    """Return colours of all patches of ground (ny, nx, 3), and which are known (ny, nx).
+
+    A patch that no picture shows has the colour of what is near, within the least of SPREADS that
+    shows enough.
+    """
+    found, known = np.zeros_like(color), np.zeros(seen.shape, bool)
+    for spread in SPREADS:
+        share = bedding.blur(seen.astype(np.float32), spread / PATCH) if spread else seen
+        new = (share > LEAST_SEEN) & ~known
+        for c in range(3):
+            channel = np.where(seen, color[..., c], 0).astype(np.float32)
+            channel = bedding.blur(channel, spread / PATCH) if spread else channel
+            found[new, c] = channel[new] / share[new]
+        known |= new
+    soft = [ndimage.gaussian_filter(found[..., c], 1) for c in range(3)]
+    return np.clip(np.stack(soft, -1), 0, 1), known
+
+
+def bed_of(patches, color, known, grid, level):
+    """Return bed [m], source, noise [m], colour and excess green of ground that is poorly known.
+
+    Parameters
+    ----------
+    patches : Grid
+        Of the colours.
+    color, known : ndarray
+        See `filled`.
     grid : Grid
     level : callable
         See `level_below`.
     """
-    color, known = np.zeros((*grid.shape, 3), np.float32), np.zeros(grid.shape, bool)
-    for spread in SPREADS:
-        width = spread / grid.spacing
-        alpha = bedding.blur(seen.alpha, width)
-        new = (alpha > LEAST_ALPHA) & ~known
-        for c in range(3):
-            channel = bedding.blur(np.ascontiguousarray(seen.color[..., c]), width)
-            color[new, c] = np.clip(channel[new] / alpha[new], 0, 1)
-        known |= new
-    green = 2 * color[..., 1] - color[..., 0] - color[..., 2]
-    source = np.where(known, INFERRED, UNKNOWN).astype(np.uint8)
     x, y = grid.centres()
+    row, column = (
+        np.clip(((values - first) / PATCH).astype(int), 0, n - 1)
+        for values, first, n in zip((y, x), patches.origin[::-1], known.shape, strict=True)
+    )
+    color, known = color[np.ix_(row, column)], known[np.ix_(row, column)]
+    green = 2 * color[..., 1] - color[..., 0] - color[..., 2]
     coarse = (values[:: max(1, round(CELL / grid.spacing))] for values in (x, y))
     x0, y0 = (np.append(values, last[-1]) for values, last in zip(coarse, (x, y), strict=True))
     heights = level(*np.meshgrid(x0, y0)).reshape(len(y0), len(x0))
     across = np.stack([np.interp(x, x0, row) for row in heights])
     bed = np.stack([np.interp(y, y0, column) for column in across.T], axis=1)
     bed = (bed + roughness(grid)).astype(np.float32)
+    source = np.where(known, INFERRED, UNKNOWN).astype(np.uint8)
     return bed, source, np.zeros(grid.shape, np.float32), color, green
 
 
 def path_of(eyes, grid):
     """Return where cameras went, bool (ny, nx): nothing stands there, whatever splats look like.
 
-    From each camera the way to the next two counts, as far as they are near; `eyes` [m] of those
-    that are not misplaced.
+    From each camera the way to the next two counts, as far as they are near. `eyes` (n, 3) [m] are
+    the places of cameras that are not misplaced.
     """
     went = np.zeros(grid.shape, bool)
     if not len(eyes):
@@ -254,7 +329,7 @@ def roughness(grid, seed=0):
     """Return the heights [m] of an average road over a grid, ndarray of shape (ny, nx), float32.
 
     They depend on the place alone, not on the grid: octaves of cubic splines whose coefficients are
-    random numbers on lattices through the origin. Under a straightedge of 3 m gaps are some 8 mm.
+    random numbers on lattices through the origin. Under a straightedge of 3 m gaps are some 6 mm.
     """
     x, y = grid.centres()
     height = np.zeros(grid.shape, np.float32)

@@ -176,7 +176,7 @@ def probability(terrain, depth):
 def doubt(terrain, rain):
     """Return why the puddles of a rain [m] are not to be believed, or None if they may be."""
     paving = terrain.sealed
-    if not paving.any():
+    if not paving.any() or terrain.layer.size:  # an assumed bed is said to be one
         return None
     measured = float(np.mean(terrain.source[paving] == MEASURED))
     error, reasons = bed_error(terrain), []

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +28,6 @@ import test_own_files as own
 import made_formats as made
 import mutate
 from made_captures import random_splats, ring
-from made_checkpoints import Parameter, archive_of, torch_file
 from made_formats import write_splats
 from rainsim.actors.actor_files import read_actors
 from rainsim.config.settings import Config
@@ -39,8 +37,6 @@ from rainsim.io.images import read_hdr
 from rainsim.scene.camera_rule import require_camera
 from rainsim.scene.cameras import load_cameras, read_path
 from rainsim.scene.formats import read
-from rainsim.scene.street_gaussians import _rows as track_rows
-from rainsim.scene.torch_file import read_weights
 from rainsim.sensors.lens_files import lens_named
 from rainsim.terrain.classify import read_mask
 from rainsim.terrain.surface import _from_tiff as read_tiff
@@ -215,21 +211,6 @@ def damaged_among(damage):
     return one
 
 
-def weights():
-    rng = np.random.default_rng(1)
-    data = {"step": 3, "rows": [rng.random((3, 4)), Parameter(rng.random(5).astype(np.float32))]}
-    return torch_file(data)
-
-
-def index_damaged(rng, data):
-    """A file of weights, damaged as it stands or in the pickle within a sound archive."""
-    if rng.random() < 0.3:
-        return mutate.mutated(rng, data)
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        index = archive.read("archive/data.pkl")
-    return archive_of(mutate.mutated(rng, index), [np.zeros(12), np.zeros(5, np.float32)])
-
-
 def labels():
     file = io.BytesIO()
     np.save(file, np.arange(40, dtype=np.uint16))
@@ -264,13 +245,6 @@ def make_actors(folder):
     return folder / "actors.json"
 
 
-def tracks():
-    head = b"frame_id track_id object_class alpha height width length x y z heading"
-    return head + b"".join(
-        b"\n%d 0 car 0.1 1.5 1.8 4.2 %d.5 0.5 0.2 0.1" % (k, k) for k in range(4)
-    )
-
-
 def read_camera_path(path):
     cameras, moments = read_path(path)
     for camera in cameras:
@@ -285,12 +259,10 @@ def read_moving(path):
 
 
 KINDS = {
-    "weights": Kind("a.pth", weights, index_damaged, read_weights),
     "labels": Kind("a.npy", labels, mutate.plain, lambda path: label_ids(path, 40)),
     "lens": Kind("transforms.json", as_json(LENS), mutate.valued, lambda p: lens_named(str(p))),
     "camera path": Kind("path.json", as_json(PATH), mutate.valued, read_camera_path),
     "nodes": Kind("", content_of(make_actors), damaged_among(mutate.valued), read_moving),
-    "tracks": Kind("a.txt", tracks, mutate.plain, track_rows),
     "mesh, text": Kind("a.ply", lambda: mesh_ply("ascii"), mutate.plain, read_mesh),
     "mesh": Kind("a.ply", lambda: mesh_ply("binary_little_endian"), mutate.plain, read_mesh),
     "OBJ": Kind("a.obj", obj, mutate.plain, read_mesh),

@@ -114,9 +114,8 @@ def test_layers_tell_the_capture_and_the_sky(dull):
 
 def test_few_far_splats_are_no_sky(scene):
     bare = tiny_scene()
-    found = backdrop.Backdrop(bare, 30.0, True)
+    found = backdrop.Backdrop(bare, backdrop.sky_of(bare), True)
     assert found.count == 0 and found.scene is bare
-    assert backdrop.Backdrop(scene, 30.0, False).scene is scene
-    far = backdrop.sky_splats(scene.splats, scene.ground_frame, scene.cameras[0].position, 30.0)
-    assert far.sum() == 360
+    far = backdrop.sky_of(scene)
+    assert far.sum() == 360 and backdrop.Backdrop(scene, far, False).scene is scene
     assert 0.5 < backdrop.covered(scene.splats, scene.cameras[0].position, far)

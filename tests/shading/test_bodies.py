@@ -9,7 +9,8 @@ from factories import look, off_ground
 from rainsim.actors.footprint import Shadow
 from rainsim.shading import bodies, environment, walls, wetting
 from rainsim.shading.fresnel import fresnel
-from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
+from rainsim.shading.surface_point import GroundMaps, SurfacePoint
+from rainsim.shading.wetting import SkyMaps
 from rainsim.terrain.types import NO_TOPS, Grid
 
 F4 = np.float32
@@ -81,7 +82,7 @@ def test_sides_of_a_body_get_wet_in_calm_rain_and_its_underside_does_not():
 
     def damp(nz, body):
         point = SurfacePoint(*F4([3, 0, 1]), *F4([-np.sqrt(1 - nz * nz), 0, nz]), F4(3))
-        return walls.damp_off_ground(rain, point, F4(1), F4(body))
+        return walls.damp_off_ground(rain, point, F4(1), F4(body), False)
 
     assert damp(0, 1) > 0.9 and damp(0, 0) < 0.02
     assert damp(-0.9, 1) == damp(-0.9, 0) == 0
@@ -94,7 +95,7 @@ def pixel(normal, sky, body=True, color=(0.5, 0.5, 0.5), look=LOOK):
     ground = GroundMaps(np.zeros((8, 8), F4), np.zeros((8, 8, 4), F4), F4([0, -2]), F4(1), maps)
     point = SurfacePoint(*F4([3, 0, 0.7]), *F4(normal), F4(3))
     return np.array(wetting.wet_pixel(
-        tuple(F4(color)), F4(1), AHEAD, F4(3), point, tuple(F4(normal)), ground, SOAKED,
+        tuple(F4(color)), F4(1), AHEAD, point, tuple(F4(normal)), ground, SOAKED,
         SkyMaps(sky, sky, sky), look, False,
     )[:3])  # fmt: skip
 
@@ -106,7 +107,7 @@ def test_between_sides_and_undersides_wetness_has_no_edge():
             walls.damp_off_ground(
                 SOAKED._replace(supply=F4(supply)),
                 SurfacePoint(F4(0), F4(0), F4(1), F4(np.sqrt(1 - z * z)), F4(0), F4(z), F4(50)),
-                F4(height), F4(body),
+                F4(height), F4(body), False,
             )
             for z in upness
         ])  # fmt: skip

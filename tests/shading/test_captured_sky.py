@@ -175,14 +175,16 @@ def test_the_skyline_spreads_over_what_a_place_sees_through_and_over_nothing_sol
     solid, thin = np.where(row < border, 0.0, 1.0), np.where(row < border, 0.0, 1.0)
     thin = np.where((row >= border + 1) & (row < border + 3), 0.3, thin)
     share = {}
-    for name, maps in (("solid", (solid, solid)), ("thin", (solid, thin))):
+    for name, maps in (("solid", (solid, solid)), ("thin", (solid, thin)), ("bare", (solid,))):
         seen = iter([np.dstack([np.zeros((ROWS, COLUMNS, 3)), np.tile(m, (1, COLUMNS))])
                      for m in maps])  # fmt: skip
         monkeypatch.setattr(skyline, "probe", lambda draw, place, seen=seen: next(seen))
-        share[name] = skyline.seen_from(None, np.zeros((2, 3))).open[:, 5]
+        share[name] = skyline.seen_from(None, np.zeros((len(maps), 3))).open[:, 5]
     assert share["solid"][border - 4] > 0.99 and share["solid"][border + 1] < 0.2
     assert share["thin"][border + 1] > share["solid"][border + 1] + 0.2
     assert share["thin"][border + 5] < 0.01
+    # From a single place, as without cameras, no outline glows: the sky goes on behind it.
+    assert share["bare"][border] > 0.9 and share["bare"][border + 5] < 0.01
 
 
 def test_under_an_open_sky_the_day_is_drawn_and_below_it_the_land():

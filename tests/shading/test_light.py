@@ -13,7 +13,7 @@ from rainsim.numerics.approximations import (
 from rainsim.particles import drop_radiance, fog
 from rainsim.scene.view import View
 from rainsim.shading import environment as maps
-from rainsim.shading import sky, walls, wetting
+from rainsim.shading import sky, surface_point, walls, wetting
 from rainsim.shading.color import (
     display_from_linear,
     linear_from_display,
@@ -24,7 +24,7 @@ from rainsim.shading.fresnel import (
     schlick,
 )
 from rainsim.shading.grading import graded
-from rainsim.shading.wetting import SurfacePoint
+from rainsim.shading.surface_point import SurfacePoint
 
 AS_CAPTURED = look(albedo=0.85)
 DULL = AS_CAPTURED._replace(exposure=0.7, compression=1.2)
@@ -99,14 +99,13 @@ def test_wet_ratio_is_the_published_curve():
 
 
 def test_wetting_darkens_and_dry_stays():
-    def wetted(r, g, b, damp=1.0, porosity=0.0, share=1.0, smooth=0.0):
+    def wetted(r, g, b, damp=1.0, porosity=0.0, smooth=0.0):
         wet = wetness(dampness=damp, porosity=porosity)
-        return wetting.wetted(r, g, b, share, smooth, wet, AS_CAPTURED)
+        return wetting.wetted(r, g, b, smooth, wet, AS_CAPTURED)
 
     wet, dry = wetted(0.3, 0.3, 0.3), wetted(0.3, 0.3, 0.3, damp=0.0)
     np.testing.assert_allclose(dry, 0.3, rtol=1e-6)
     assert 0.5 < wet[0] / 0.3 < 0.65
-    assert wetted(0.3, 0.3, 0.3, share=0.5) == wetted(0.3, 0.3, 0.3, damp=0.5)
     soaked = wetted(0.3, 0.3, 0.3, porosity=0.45)
     assert 0.4 < soaked[0] / wet[0] < 0.95  # filled pores darken more than a film
     assert wet < wetted(0.3, 0.3, 0.3, smooth=1.0) < dry
@@ -116,11 +115,11 @@ def test_wetting_darkens_and_dry_stays():
 
 def test_wet_colors_are_richer_as_far_as_their_channels_darken():
     wet = wetness()
-    red, green, blue = wetting.wetted(0.5, 0.25, 0.1, 1.0, 0.0, wet, AS_CAPTURED)
+    red, green, blue = wetting.wetted(0.5, 0.25, 0.1, 0.0, wet, AS_CAPTURED)
     for found, dry in ((red, 0.5), (green, 0.25), (blue, 0.1)):
         assert found / dry == pytest.approx(wetting.wet_ratio(0.85 * dry), rel=1e-5)
     assert 1.1 * 5 < red / blue < 1.3 * 5
-    grey = wetting.wetted(0.3, 0.3, 0.3, 1.0, 0.0, wet, AS_CAPTURED)
+    grey = wetting.wetted(0.3, 0.3, 0.3, 0.0, wet, AS_CAPTURED)
     assert grey[0] == grey[1] == grey[2]
 
 
@@ -129,8 +128,9 @@ def test_level_things_gloss_by_their_water_alone_where_tops_are_drawn():
 
     def gloss(height, tops_end):
         look = AS_CAPTURED._replace(tops_end=tops_end)
+        level = surface_point.ground_share(np.float32(height), np.float32(1), np.float32(0))
         return wetting.rainy_color(
-            0.2, 0.15, 0.1, 1.0, 5.0, -0.3, 0.3, 1.0, height, wet, look
+            0.2, 0.15, 0.1, 1.0, -0.3, 0.3, 1.0, height, level, wet, look
         )[3]  # fmt: skip
 
     assert gloss(0.7, 0.0) > 0.005 and gloss(0.7, 1.6) == 0
@@ -153,7 +153,7 @@ def test_walls_catch_what_slants_towards_them():
         rain = SLANTING._replace(supply=supply)
         points = np.random.default_rng(1).uniform(0, 40, (400, 3))
         points = [SurfacePoint(*point, nx, ny, nz, 2.0) for point in points]
-        return np.mean([walls.damp_off_ground(rain, point, height, 0.0) for point in points])
+        return np.mean([walls.damp_off_ground(rain, point, height, 0.0, False) for point in points])
 
     assert damp(0.0, 0.0, 1.0, 2.5) == 1.0
     side, lee = damp(0.0, 1.0, 0.0, 8.0), damp(1.0, 0.0, 0.0, 8.0)
@@ -173,7 +173,7 @@ def test_a_wall_is_wet_evenly_but_for_soft_paths_longer_than_wide():
 
     def damp(x, y, z, nx, ny, nz, supply=1.0):
         point = SurfacePoint(x, y, z, nx, ny, nz, 2.0)
-        return walls.damp_off_ground(SLANTING._replace(supply=supply), point, 9.0, 0.0)
+        return walls.damp_off_ground(SLANTING._replace(supply=supply), point, 9.0, 0.0, False)
 
     def wall(nx, ny, nz, supply=1.0):
         return np.array([[damp(y, y, z, nx, ny, nz, supply) for y in at] for z in at])
@@ -202,7 +202,7 @@ def test_noise_of_a_walls_normals_wets_no_patch_in_calm_air():
 
     def damp(nz):
         point = SurfacePoint(0.3, 0.7, 2.0, np.sqrt(1 - nz * nz), 0.0, nz, 2.0)
-        return walls.damp_off_ground(calm, point, 2.0, 0.0)
+        return walls.damp_off_ground(calm, point, 2.0, 0.0, False)
 
     assert damp(0.0) == damp(0.2) == damp(-0.2) < 0.01 and damp(0.4) > 0.9
 

@@ -8,7 +8,8 @@ from rainsim.numerics.srgb import linear
 from rainsim.shading import environment, wetting
 from rainsim.shading.color import luminance
 from rainsim.shading.fresnel import SCHLICK, fresnel, schlick
-from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
+from rainsim.shading.surface_point import GroundMaps, SurfacePoint
+from rainsim.shading.wetting import SkyMaps
 
 F4 = np.float32
 LOOK = look()
@@ -34,7 +35,7 @@ def gloss_of(color, normal, rain, skies, look=LOOK):
     def drawn(maps):
         point = SurfacePoint(F4(3), F4(0), F4(1), *normal, F4(3))
         return wetting.wet_pixel(
-            color, F4(1), AHEAD, F4(3), point, normal, LEVEL, rain, maps, look, False
+            color, F4(1), AHEAD, point, normal, LEVEL, rain, maps, look, False
         )[1]  # fmt: skip
 
     return drawn(skies) - drawn(SkyMaps(0 * skies.gloss, 0 * skies.coat, skies.behind))
@@ -80,7 +81,7 @@ def test_lawns_and_leaves_hardly_darken_where_paving_does():
     tones = {"stone": F4([0.25, 0.25, 0.24]), "leaf": F4([0.1, 0.2, 0.05])}
 
     def kept(color, wet):
-        found = wetting.wetted(*color, F4(1), F4(0), wet, LOOK)
+        found = wetting.wetted(*color, F4(0), wet, LOOK)
         return float(luminance(*map(F4, found)) / luminance(*color))
 
     assert kept(tones["stone"], wet) < 0.6
@@ -97,7 +98,7 @@ def test_a_factor_on_the_wetness_darkens_and_glosses_by_as_much(skies):
         point = SurfacePoint(F4(3), F4(0), F4(1), *TO_ZENITH, F4(3))
         look = LOOK._replace(wetness=F4(factor))
         return wetting.wet_pixel(
-            color, F4(1), AHEAD, F4(3), point, TO_ZENITH, LEVEL, SOAKED, maps, look, False
+            color, F4(1), AHEAD, point, TO_ZENITH, LEVEL, SOAKED, maps, look, False
         )[1]  # fmt: skip
 
     captured = luminance(*linear(np.array([BROWN[1]] * 3)))

@@ -6,12 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import factories
 import sunny_yard
 from rainsim.daylight.lit_surface import Surface, carried
 from rainsim.scene.splat_sets import joined
+from rainsim.shading import backdrop
 from rainsim.splatting.prepared import GEOMETRY, LANES, prepare, turn
 from rainsim.surface import captured_sky, fuse, kept_surface, sweep, views, walls
 from rainsim.terrain.types import Grid
+from scenes import looking
 
 
 def floating(scene, place, count=60, spread=0.05, opacity=0.9, color=(0.9, 0.9, 0.9)):
@@ -99,14 +102,41 @@ def test_the_sky_is_found_by_its_colour_and_a_wall_is_not_sky():
     pictures = [view_of(blue_over_wall(), 0.45 + 0.02 * k) for k in range(4)]
     colors = captured_sky.SkyColors(pictures)
     assert colors.color is not None
-    shown = colors.shown(pictures[0])
-    assert shown[2:28].mean() > 0.95 and shown[32:].mean() == 0
-    seen = captured_sky.seen_sky(pictures, [colors.shown(p) for p in pictures])
+    shown = [part > 0 for part in colors.parts(pictures)]
+    assert shown[0][2:28].mean() > 0.95 and shown[0][32:].mean() == 0
+    seen = captured_sky.seen_sky(pictures, shown)
     assert seen[22:].any() and not seen[2:5, :2].any()  # low and straight ahead is the wall
 
 
+def test_one_sky_is_found_in_pictures_of_different_exposure():
+    exposure = np.float32([-0.45, 0, 0, 0.3, -0.45])
+    pictures = [
+        view_of(blue_over_wall() * np.exp(e), 0.45 + 0.02 * k) for k, e in enumerate(exposure)
+    ]
+    colors = captured_sky.SkyColors(pictures)
+    np.testing.assert_allclose(colors.exposure, exposure, atol=0.05)
+    for part in colors.parts(pictures):
+        assert (part[3:26] == 1).all() and (part[34:] == -1).all()
+
+
+def test_regions_of_a_picture_are_judged_whole():
+    light = blue_over_wall()
+    light[8:14, 20:40] = 0.9  # a cloud
+    light[15:32, 55:70] = 0.9  # a gable, on the wall
+    light[40:46, 20:26] = np.float32(0.8) * light[0, 0]  # a pane, which mirrors the sky
+    light[40:46, 40:46] = light[0, 0]  # a gap
+    others = [view_of(blue_over_wall(), 0.43 + 0.02 * k) for k in range(4)]
+    pictures = [view_of(light, 0.45), *others]
+    part = captured_sky.SkyColors(pictures).parts(pictures)[0]
+    assert (part[9:13, 22:38] == 1).all() and (part[19:31, 59:66] == -1).all()
+    assert (part[41:45, 21:25] == 0).all() and (part[42:44, 42:44] == 1).all()
+
+
 def test_a_ceiling_that_differs_from_place_to_place_is_no_sky():
-    pictures = [view_of(blue_over_wall() * np.float32(0.5 + 0.2 * k), 0.45) for k in range(4)]
+    lamp = np.linspace(-0.8, 0.8, 80, dtype=np.float32)[:, None]  # light falls off to a side
+    pictures = [
+        view_of(blue_over_wall() * np.exp(turn * lamp), 0.45) for turn in (-1.0, -0.4, 0.4, 1.0)
+    ]
     assert captured_sky.SkyColors(pictures).color is None
     plain = [view_of(np.full((60, 80, 3), 0.01, np.float32), 0.4)]
     assert captured_sky.SkyColors(plain).color is None  # a night
@@ -121,6 +151,16 @@ def test_one_grey_everywhere_is_no_sky():
     assert (
         captured_sky.SkyColors([view_of(over_land, 0.02 * k) for k in range(4)]).color is not None
     )
+
+
+def test_a_grey_front_below_a_brighter_sky_is_no_sky():
+    front = np.full((60, 80, 3), (0.3, 0.32, 0.36), np.float32)
+    front[50:] = (0.1, 0.09, 0.05)
+    assert captured_sky.SkyColors([view_of(front, 0.3)] * 4).color is not None
+    front[:8, :50] = 0.9
+    pictures = [view_of(front, 0.3)] * 4
+    parts = captured_sky.SkyColors(pictures).parts(pictures)
+    assert (parts[0][12:] < 1).all()
 
 
 def test_haze_before_a_wall_is_moved_to_the_wall():
@@ -279,12 +319,41 @@ def test_haze_far_from_every_place_faces_the_cameras_upright(yard):
     splats = yard.splats.take(np.arange(4))
     scene = replace(yard, splats=replace(splats, position=frame.to_capture(at).astype("f4")))
     seen = SimpleNamespace(surface=surface, middle=np.float32([0, 0, 1.5]))
-    normal, share = kept_surface.splat_normals(scene, seen)
+    sky = np.zeros(4, bool)
+    normal, share = kept_surface.splat_normals(scene, seen, sky)
     normal = normal @ frame.rotation.T
     np.testing.assert_allclose(share[1:], [0.2, 1, 1], atol=0.01)
     assert share[0] > 0.8
     np.testing.assert_allclose(normal[0], (0, 0, 1), atol=1e-3)
     np.testing.assert_allclose(normal[2:], [(0, -1, 0), (-0.6, -0.8, 0)], atol=1e-3)
+    sky[2] = True  # that of a sky that stays is not wetted
+    normal, share = kept_surface.splat_normals(scene, seen, sky)
+    np.testing.assert_allclose((normal @ frame.rotation.T)[2], (0, 0, -1), atol=1e-6)
+    assert share[2] == 1
+
+
+def test_a_far_white_house_stays_and_what_the_sky_hides_goes(yard):
+    def grid(x, y, z, scale, color, opacity=0.97):
+        place = np.stack(np.meshgrid(x, y, z), -1).reshape(-1, 3)
+        return factories.splats(place, scale=scale, opacity=opacity, color=color)
+
+    ground = grid(np.arange(2, 60, 4), np.arange(-40, 41, 4), [-0.5], 2, (0.3, 0.25, 0.2))
+    house = grid([66], np.arange(-12, 13, 2), np.arange(0, 15, 2), 1, (0.95, 0.95, 0.94))
+    dome = grid([70], np.arange(-35, 36, 5), np.arange(0, 46, 5), 3, (0.6, 0.75, 0.95))
+    needle = grid([74], [-20, 12], [25], 1, (0.7, 0.1, 0.6))
+    cloud = grid([71], [20.0], [30.0], 1, (0.95, 0.95, 0.96), 0.01)  # no camera makes it out
+    parts = ground, house, dome, needle, cloud
+    cameras = tuple(looking((0, 0.4 * k, 1.6), (40, 0, 9), 96, 72) for k in range(10))
+    frame = replace(yard.ground_frame, rotation=np.eye(3), meters_per_unit=1.0,
+                    translation=np.zeros(3))  # fmt: skip
+    scene = replace(yard, splats=joined(parts), cameras=cameras, ground_frame=frame)
+    found = kept_surface.find_surface(scene)
+    own = np.split(backdrop.sky_of(scene, found), np.cumsum([len(p) for p in parts])[:-1])
+    assert not own[0].any() and not own[1].any() and own[3].all() and own[4].all()
+    seen = np.abs(dome.position[:, 1]) < 25
+    assert own[2][seen & (dome.position[:, 2] > 20) & (dome.position[:, 2] < 35)].all()
+    blind = np.split(backdrop.sky_of(scene), np.cumsum([len(p) for p in parts])[:-1])
+    assert blind[1].mean() > 0.9 and not blind[3].any()  # by distance alone
 
 
 def test_few_splats_have_no_surface(yard):

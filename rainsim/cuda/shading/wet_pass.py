@@ -12,9 +12,10 @@ from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.scene.view import column_slope, row_slope, view_from, view_of_arrays
 from rainsim.shading.grading import look_from
 from rainsim.shading.smooth_normals import AROUND, NO_AROUND, smooth_normal, turn_of, turned
-from rainsim.shading.wet_pass import NO_DEPTH, DryPicture, seen_surface
+from rainsim.shading.surface_point import GroundMaps, seen_surface
+from rainsim.shading.wet_pass import NO_DEPTH, DryPicture
 from rainsim.shading.wetness import off_ground_from
-from rainsim.shading.wetting import GroundMaps, SkyMaps, wet_pixel
+from rainsim.shading.wetting import SkyMaps, wet_pixel
 
 BLOCK = (32, 8)  # threads: columns, rows
 
@@ -90,7 +91,7 @@ def grade_and_wet(
     view = view_from(camera)
     turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
     alpha, color = dry.alpha[row, column], dry.color
-    x, y, z, d, distance, _, point = seen_surface(
+    x, y, z, d, _, point = seen_surface(
         turn, view.eye, column_slope(view, column), row_slope(view, row),
         (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
         dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
@@ -105,7 +106,7 @@ def grade_and_wet(
     mirror_apart = cover_out.shape[0] > 0
     r, g, b, clearance, cover = wet_pixel(
         (color[row, column, 0], color[row, column, 1], color[row, column, 2]), alpha,
-        (x, y, z), distance, point, around, ground, off_ground_from(rain),
+        (x, y, z), point, around, ground, off_ground_from(rain),
         sky, look_from(look), mirror_apart,
     )  # fmt: skip
     picture_out[row, column, 0], picture_out[row, column, 1] = r, g

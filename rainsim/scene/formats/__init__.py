@@ -182,6 +182,11 @@ def _reader_of(path, start, file):
     if start.startswith((b"ply\n", b"ply\r")):
         return _ply_reader(path, file)
     if start.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        if b"/data.pkl" in start[:300]:  # the first name in the archive
+            raise InputError(
+                f"{path} is a checkpoint of torch; {REMEDY}; of a drive by drivestudio "
+                "examples/drives/convert.py makes a scene"
+            )
         from rainsim.scene.formats.sog import read_bundle
 
         return "SOG (one file)", read_bundle

@@ -1,13 +1,16 @@
-"""Street Gaussians models and the data they are trained on, written after that project's layouts.
+"""Models of Street Gaussians and drivestudio, made after those projects' layouts.
 
-The PLY after `make_ply` and `construct_list_of_attributes` of its GaussianModel: f_dc channel by
-channel with all terms, f_rest likewise, a column of semantics; one element for each node. The data
-after what `load_camera_info` and `get_obj_pose_tracking` of its waymo_utils read.
+Of Street Gaussians the PLY after `make_ply` and `construct_list_of_attributes` of its
+GaussianModel: f_dc channel by channel with all terms, f_rest likewise, a column of semantics; one
+element for each node. The data after what `load_camera_info` and `get_obj_pose_tracking` of its
+waymo_utils read. Of drivestudio the arrays that a state_dict of its Gaussians holds.
 """
 
 import json
 
 import numpy as np
+
+from rainsim.scene.splat_sets import joined
 
 HEADER = (
     "frame_id track_id object_class alpha box_height box_width box_length box_center_x "
@@ -59,3 +62,25 @@ def write_data(folder, tracks, ego, times):
         np.savetxt(folder / f"ego_pose/{frame:06d}_0.txt", pose)  # of a camera: not to be counted
     stamps = {f"{frame:06d}": time for frame, time in enumerate(times)}
     (folder / "timestamps.json").write_text(json.dumps({"FRAME": stamps, "FRONT": stamps}))
+
+
+def gaussian_weights(splats, degree_0=False):
+    """The weights of one class of drivestudio's Gaussians, as its state_dict names them."""
+    logit = np.log(splats.opacity / (1 - splats.opacity))[:, None]
+    base, rest = splats.sh[:, 0], splats.sh[:, 1:]
+    if degree_0:
+        color = np.clip(0.5 + 0.28209479177387814 * base, 1e-3, 1 - 1e-3)
+        base, rest = np.log(color / (1 - color)), rest[:, :0]
+    arrays = {"_means": splats.position, "_scales": np.log(splats.scale), "_quats": splats.rotation,
+              "_features_dc": base, "_features_rest": rest, "_opacities": logit}  # fmt: skip
+    return {name: np.asarray(values, np.float32) for name, values in arrays.items()}
+
+
+def node_weights(parts, sizes, places, turns, there, **options):
+    """The weights of a class of nodes: `parts` lists the Splats of each node."""
+    owner = np.concatenate([np.full((len(p), 1), k) for k, p in enumerate(parts)])
+    return gaussian_weights(joined(parts), **options) | {
+        "instances_quats": np.asarray(turns, np.float32),
+        "instances_trans": np.asarray(places, np.float32), "points_ids": owner,
+        "instances_size": np.asarray(sizes, np.float32), "instances_fv": np.asarray(there, bool),
+    }  # fmt: skip

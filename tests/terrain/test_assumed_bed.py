@@ -1,0 +1,98 @@
+"""The bed of ground that splats do not tell: how it is found to be such, and what is assumed."""
+
+import numpy as np
+import pytest
+
+from made_captures import splats_at
+from rainsim.config import Config
+from rainsim.scene.cameras import look_at
+from rainsim.scene.types import GroundFrame, Scene
+from rainsim.terrain import assumed_bed
+from rainsim.terrain.extract import extract_terrain
+from rainsim.terrain.types import INFERRED, Grid
+
+GRID = Grid((300, 400), (-8.0, -6.0), 0.04)
+
+
+def test_roughness_belongs_to_the_place_and_not_to_the_grid():
+    whole = assumed_bed.roughness(GRID)
+    part = Grid((80, 90), (-8.0 + 50 * 0.04, -6.0 + 120 * 0.04), 0.04)
+    np.testing.assert_allclose(
+        assumed_bed.roughness(part), whole[120:200, 50:140], atol=1e-6, rtol=0
+    )
+    assert np.abs(assumed_bed.roughness(GRID, seed=1) - whole).max() > 0.005
+
+
+def test_roughness_has_the_spectrum_of_an_average_road():
+    grid = Grid((1500, 1500), (-30.0, -30.0), 0.04)
+    height = assumed_bed.roughness(grid)
+    power = np.abs(np.fft.rfft(height - height.mean(axis=1, keepdims=True), axis=1)) ** 2
+    waves = np.fft.rfftfreq(1500, 0.04)
+    density = (2 * power * 0.04 / 1500).mean(axis=0)
+    road = assumed_bed.DENSITY * (waves[1:] / assumed_bed.N0) ** -2
+    for low in (0.2, 0.35):
+        band = (waves[1:] > low) & (waves[1:] < 1.7 * low)
+        assert 0.7 < np.mean(density[1:][band] / road[band]) < 1.4
+    assert 0.002 < height.std() < 0.012
+
+
+def test_scatter_is_that_below_the_level_and_none_of_fine_ground():
+    rng = np.random.default_rng(0)
+    place = rng.uniform(-5, 5, (30_000, 2))
+    cover = np.full(30_000, 0.02)
+    assert assumed_bed.scatter_of(rng.normal(0, 0.01, 30_000), place, cover, 1.6) == 0
+    assert assumed_bed.scatter_of(np.abs(rng.normal(0, 1, 30_000)), place, cover, 1.6) == 0
+    found = assumed_bed.scatter_of(rng.normal(0, 0.2, 30_000), place, cover, 1.6)
+    assert found == pytest.approx(0.2, rel=0.1)
+    assert assumed_bed.scatter_of(np.zeros(0), np.zeros((0, 2)), np.zeros(0), 1.6) == 0
+
+
+def test_ground_goes_up_and_down_with_a_walk_and_not_with_hands():
+    x = np.arange(30.0)
+    valley = np.column_stack([2 * x, 0 * x, 1.6 + 0.3 * np.cos(x / 6)])
+    level = assumed_bed.level_below(valley)
+    rise = valley[:, 2] - valley[:, 2].mean()
+    assert np.abs(level(2 * x, 0 * x) - rise).max() < 0.15 and np.ptp(level(2 * x, 0 * x)) > 0.3
+    hands = valley.copy()
+    hands[:, 2] = np.where(x % 2, 1.3, 1.9)
+    assert not assumed_bed.level_below(hands)(2 * x, 0 * x).any()
+
+
+def test_where_cameras_went_nothing_stands():
+    eyes = np.array([[-6.0, 0, 1.6], [-3, 0, 1.6], [0, 0, 1.6]])
+    went = assumed_bed.path_of(eyes, GRID)
+    bed = np.zeros(GRID.shape, np.float32)
+    wall = [(x, 4.0, z) for x in np.arange(-6, 6, 0.04) for z in (0.5, 1.0, 2.0)]
+    veil = [(-4.5, y, z) for y in np.arange(-0.4, 0.4, 0.04) for z in (0.6, 1.2)]
+    eave = [(x, -4.0, 2.5) for x in np.arange(-6, 6, 0.04)]
+    top, low = assumed_bed.cover(np.array(wall + veil + eave), GRID, bed, 0.4, 3.0, went)
+    row = {y: int((y + 6) / 0.04) for y in (4, 0, -4)}
+    assert (top[row[4], 60:340] == 2.0).all() and not low[row[4]].any()  # it stands on the ground
+    assert (top[row[-4], 60:340] == 2.5).all() and (low[row[-4], 60:340] == 2.5).all()
+    assert not top[row[0]].any()
+    layer = assumed_bed.layer_map(top > bed, went, 0.04, 0.15, 1.6)
+    assert layer[row[0], 80] > layer[30, 380] > layer[row[4], 200] > 0
+
+
+def poor_scene(scatter):
+    """A street whose ground lies in a thick layer of splats, with cameras along it."""
+    rng = np.random.default_rng(3)
+    ground = rng.uniform((-2, -3, 0), (14, 3, 0), (12_000, 3))
+    ground[:, 2] = rng.normal(0, scatter, len(ground))
+    cameras = tuple(
+        look_at((x, 0.2, 1.6), (x + 3, 0, 0.4), (0, 0, 1), 70, 96, 72, f"{x}") for x in range(8)
+    )
+    return Scene(
+        "poor", splats_at(ground, scale=0.03), cameras, GroundFrame(np.eye(3), 1.0, np.zeros(3))
+    )
+
+
+def test_poor_ground_gets_an_assumed_bed_and_says_so():
+    config = Config.from_preset("moderate").terrain
+    poor = extract_terrain(poor_scene(0.2), config)
+    assert any("PUDDLES ARE ASSUMED" in note for note in poor.notes)
+    assert poor.layer.shape == poor.bed.shape and 0.3 < poor.layer.max() < 1.2
+    assert 0.001 < poor.bed.std() < 0.02  # and no captured noise of 20 cm
+    assert np.mean(poor.source == INFERRED) > 0.3 and not poor.noise.any()
+    good = extract_terrain(poor_scene(0.004), config)
+    assert good.layer.size == 0 and not any("ASSUMED" in note for note in good.notes)
