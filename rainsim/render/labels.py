@@ -18,7 +18,7 @@ from rainsim.numerics.blocks import stable_order
 from rainsim.reflection import water_record
 from rainsim.scene.types import Camera
 from rainsim.scene.view import pixel_rays, rays
-from rainsim.shading.wetting import FLAT
+from rainsim.shading.surface_point import FLAT
 from rainsim.terrain.table import OBJECT, WATER, class_table
 from rainsim.water.puddles import WET
 

@@ -10,7 +10,7 @@ from scipy import ndimage
 from rainsim.io.states import NO_TRACKS
 from rainsim.shading import wetness
 from rainsim.shading.bodies import BodyMap
-from rainsim.shading.wetting import GroundMaps
+from rainsim.shading.surface_point import GroundMaps
 
 
 class TrackedMap(NamedTuple):

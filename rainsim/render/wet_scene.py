@@ -25,10 +25,11 @@ from rainsim.shading.color import LUMA, luminance_of, roughly_linear
 from rainsim.shading.grading import DULL_EXPOSURE, SHINES, Look, look_of, replaces_sky
 from rainsim.shading.skyline import skylines
 from rainsim.shading.surface_depth import find_surface_depth
+from rainsim.shading.surface_point import GroundMaps
 from rainsim.shading.visibility import badly_placed, views_of_splats, without_shreds
 from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
 from rainsim.shading.wetness import OffGroundWetness
-from rainsim.shading.wetting import GroundMaps, SkyMaps
+from rainsim.shading.wetting import SkyMaps
 from rainsim.simulation import usual_wind
 from rainsim.surface.kept_surface import kept_surface, splat_normals
 

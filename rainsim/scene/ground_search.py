@@ -1,4 +1,4 @@
-"""The search for the ground among a capture's splats, with what the cameras tell of level."""
+"""The search for the ground among a capture's splats, level as its cameras were held."""
 
 from __future__ import annotations
 

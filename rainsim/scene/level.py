@@ -1,4 +1,4 @@
-"""What cameras that were carried tell of the ground: which way is up, and who of them is wrong.
+"""Level from cameras that were carried: which way is up, and which of the cameras are misplaced.
 
 A camera is held without roll, so its right-hand axis is level; the cameras of a walk are at about
 one height, so their path is level. Both are fitted together, with weights that fall with what is

@@ -31,7 +31,8 @@ from rainsim.sensors.lidar_model import (
 )
 from rainsim.sensors.near_drops import near_drops
 from rainsim.shading.color import LUMA, roughly_linear
-from rainsim.shading.wetting import FLAT, wet_ratio
+from rainsim.shading.surface_point import FLAT
+from rainsim.shading.wetting import wet_ratio
 from rainsim.water.puddles import WET
 
 SOLID = 0.5  # alpha from which a beam has met a surface

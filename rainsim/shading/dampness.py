@@ -8,17 +8,16 @@ from rainsim.numerics.interpolation import map_place
 from rainsim.scene.view import View, column_slope, row_slope
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
-from rainsim.shading.wet_pass import DryPicture, seen_surface
-from rainsim.shading.wetness import OffGroundWetness
-from rainsim.shading.wetting import (
+from rainsim.shading.surface_point import (
     GroundMaps,
     ground_share,
     heights_of,
     layer_at,
-    wet_state,
-    wetted_normal,
-    with_normal,
+    seen_surface,
 )
+from rainsim.shading.wet_pass import DryPicture
+from rainsim.shading.wetness import OffGroundWetness
+from rainsim.shading.wetting import wet_state, wetted_normal, with_normal
 
 
 @cpu_kernel

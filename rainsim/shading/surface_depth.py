@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 
-from rainsim.constants import ONE, SURFACE_ALPHA
+from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
 from rainsim.jit import cpu_kernel, prange
 from rainsim.scene.view import View, column_slope, row_slope
-from rainsim.shading.smooth_normals import turn_of
-from rainsim.shading.wet_pass import NO_DEPTH, DryPicture, seen_surface
-from rainsim.shading.wetting import GroundMaps
+from rainsim.shading.smooth_normals import turn_of, turned
+from rainsim.shading.surface_point import GroundMaps, depth_of_surface, seen_surface
+from rainsim.shading.wet_pass import NO_DEPTH, DryPicture
 
 
 @cpu_kernel
@@ -34,11 +34,14 @@ def find_surface_depth(dry: DryPicture, view: View, ground: GroundMaps, depth_ou
     )  # fmt: skip
     for row in prange(height):
         for column in range(width):
-            a, b, alpha = column_slope(view, column), row_slope(view, row), dry.alpha[row, column]
-            _, _, _, _, _, point = seen_surface(
-                turn, eye, a, b,
-                (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
-                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
-            )  # fmt: skip
-            depth = point.distance / math.sqrt(a * a + b * b + ONE)
-            depth_out[row, column] = depth if alpha >= SURFACE_ALPHA else NO_DEPTH
+            lean = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
+            depth, plane = dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit
+            alpha, (_, _, upness) = dry.alpha[row, column], turned(turn, *lean)
+            _, wetted = depth_of_surface(depth, plane, upness)
+            if ground.thickest_layer > ZERO:
+                a, b = column_slope(view, column), row_slope(view, row)
+                _, _, _, _, _, point = seen_surface(
+                    turn, eye, a, b, lean, depth, plane, alpha, ground
+                )
+                wetted = point.distance / math.sqrt(a * a + b * b + ONE)
+            depth_out[row, column] = wetted if alpha >= SURFACE_ALPHA else NO_DEPTH

@@ -51,7 +51,7 @@ def damp_off_ground(rain, point, height, body, noisy):
     Parameters
     ----------
     rain : wetness.OffGroundWetness
-    point : wetting.SurfacePoint
+    point : surface_point.SurfacePoint
         Its distance decides whether the paths are seen.
     height : float32 [m]
         Over the ground.

@@ -9,7 +9,6 @@ Rays are few and scattered: `grade_rays` calls `wet_pixel`.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -34,20 +33,21 @@ from rainsim.shading.smooth_normals import (
     turn_of,
     turned,
 )
-from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
-from rainsim.shading.wetting import (
+from rainsim.shading.surface_point import (
     FLAT,
-    LEAST_SKY,
-    WALL_SHARE,
     GroundMaps,
-    SkyMaps,
     SurfacePoint,
-    glossed,
     ground_share,
     heights_over,
     layer_at,
+    seen_surface,
+)
+from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
+from rainsim.shading.wetting import (
+    LEAST_SKY,
+    SkyMaps,
+    glossed,
     mirror_cover,
-    on_bed,
     rainy_color,
     wet_pixel,
     wet_state,
@@ -246,53 +246,6 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 
 
 @inlined_function
-def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
-    """Return what a pixel of the capture shows: view direction, depths, cosine and place.
-
-    Parameters
-    ----------
-    turn : tuple of 9 float32
-        Of the camera, see `turn_of`.
-    eye : tuple of 3 float32, or such an array [m]
-    a, b : float32
-        Slopes of the pixel's ray to the right and down.
-    normal : tuple of 3 float32
-        Unit, camera frame.
-    depth, plane_depth : float32 [m]
-        As splatted.
-    alpha : float32
-    ground : GroundMaps
-
-    Returns
-    -------
-    x, y, z : float32
-        Unit direction of view, ground frame.
-    drawn : float32 [m]
-        Depth of what is drawn.
-    cosine : float32
-        Between the normal and the way back to the eye.
-    point : SurfacePoint
-        Where it is wetted; at the eye if the pixel shows no surface.
-    """
-    x = turn[0] * a + turn[1] * b + turn[2]
-    y = turn[3] * a + turn[4] * b + turn[5]
-    z = turn[6] * a + turn[7] * b + turn[8]
-    length = math.sqrt(x * x + y * y + z * z)
-    inv = ONE / length
-    lean_x, lean_y, upness = turned(turn, normal[0], normal[1], normal[2])
-    cosine = -(normal[0] * a + normal[1] * b + normal[2]) * inv
-    d, e = depth_of_surface(depth, plane_depth, upness)
-    e = e if alpha >= SURFACE_ALPHA else ZERO
-    point = SurfacePoint(
-        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
-    )
-    if ground.layer.shape[0] > 1 and e > ZERO:
-        point, d = on_bed(point, e, d, x, y, z, ground)
-        cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
-    return x * inv, y * inv, z * inv, d, cosine, point
-
-
-@inlined_function
 def locate(view, b, left, n, ground, s):
     """Find where in the ground frame each pixel of a row at slope b is."""
     turn, eye = turn_of(view.ground_from_camera), (view.eye[0], view.eye[1], view.eye[2])
@@ -306,17 +259,6 @@ def locate(view, b, left, n, ground, s):
         s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
         s[COSINE + i], s[DEPTH + i] = cosine, depth
         s[X + i], s[Y + i], s[Z + i], s[AWAY + i] = point.x, point.y, point.z, point.distance
-
-
-@inlined_function
-def depth_of_surface(depth, plane_depth, upness):
-    """Return the depth that is drawn, and that of the place that is wetted.
-
-    The plane of the splats is far better on level ground, and can be wild on thin things. Along a
-    wall seen at a slant the splats' own depths scatter: there the plane is where the wall is wet.
-    """
-    drawn = plane_depth if upness > FLAT else depth
-    return drawn, plane_depth if abs(plane_depth - drawn) < WALL_SHARE * drawn else drawn
 
 
 @inlined_function

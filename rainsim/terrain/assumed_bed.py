@@ -255,8 +255,8 @@ def bed_of(patches, color, known, grid, level):
 def path_of(eyes, grid):
     """Return where cameras went, bool (ny, nx): nothing stands there, whatever splats look like.
 
-    From each camera the way to the next two counts, as far as they are near; `eyes` [m] of those
-    that are not misplaced.
+    From each camera the way to the next two counts, as far as they are near. `eyes` (n, 3) [m] are
+    the places of cameras that are not misplaced.
     """
     went = np.zeros(grid.shape, bool)
     if not len(eyes):

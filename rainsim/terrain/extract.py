@@ -18,7 +18,7 @@ from rainsim.lod.held_parts import scene_over
 from rainsim.scene.types import Camera, pose_at
 from rainsim.surface.kept_surface import kept_surface
 from rainsim.surface.sweep import ground_sweep
-from rainsim.terrain import assumed_bed, filters
+from rainsim.terrain import assumed_bed, filters, types
 from rainsim.terrain import bed as bedding
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains, painted_mask
 from rainsim.terrain.map_size import choose_grid
@@ -26,15 +26,7 @@ from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, SLAB, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.tops import find_tops, note_of
-from rainsim.terrain.types import (
-    GAP_HEIGHT,
-    INFERRED,
-    MEASURED,
-    NO_TOPS,
-    UNKNOWN,
-    Grid,
-    Terrain,
-)
+from rainsim.terrain.types import GAP_HEIGHT, INFERRED, MEASURED, UNKNOWN, Grid, Terrain
 
 MIN_SEEN_ALPHA = 0.5  # of a cell from above: with less its height is unknown
 OCCLUDER_HEIGHT = 0.10  # m above the ground from which something shelters it
@@ -98,7 +90,7 @@ def extract_terrain(scene, config, mask=None, tell=None):
         np.copyto(top, bed, where=filled & ~stands)
         np.copyto(underside, bed, where=filled & (underside < bed + water + GAP_HEIGHT))
     terrain = Terrain(grid, **maps, water=water)
-    tops = NO_TOPS
+    tops = types.NO_TOPS
     if cloud.poor is None:
         tops = find_tops(terrain, scene)
     else:
@@ -217,9 +209,10 @@ def _piece(scene, cloud, piece, mask, step):
     near = cloud.near_bed & over
     off = np.zeros_like(near)
     if cloud.poor is not None:
-        step()
-        step()
         bed, source, noise, color, green = cloud.poor.bed(grid)
+        top, underside = cloud.poor.cover(cloud.places, grid, bed, cloud.top)
+        for _ in range(STEPS - 1):
+            step()
     else:
         ground = cloud.look(near, grid)
         step()
@@ -231,16 +224,12 @@ def _piece(scene, cloud, piece, mask, step):
         step()
         below = cloud.look(kept, grid, from_below=True)
         bed, source, noise, color, green = _bed(ground, below, grid, cloud.level, cloud.sweep)
-    step()
-    if cloud.poor is not None:
         step()
-        top, underside = cloud.poor.cover(cloud.places, grid, bed, cloud.top)
-    else:
         upper = cloud.look(cloud.below_ceiling & over, grid)
         step()
         lower = cloud.look(cloud.overhead & over, grid, from_below=True)
         top, underside = _cover(upper, lower, bed, grid.cell_area)
-    step()
+        step()
     classes = classify(bed, top, source, noise, color, green, grid.spacing)
     classes = mark_drains(classes, grid, scene)
     if mask is not None:

@@ -40,9 +40,10 @@ from rainsim.shading import composite, glare, sky, wet_ground_mirror, wet_pass
 from rainsim.shading.composite import RainCover, RainLight
 from rainsim.shading.fresnel import EXACT, SCHLICK
 from rainsim.shading.grading import Look
+from rainsim.shading.surface_point import GroundMaps
 from rainsim.shading.wet_pass import DryPicture
 from rainsim.shading.wetness import OffGroundWetness
-from rainsim.shading.wetting import GroundMaps, SkyMaps
+from rainsim.shading.wetting import SkyMaps
 from rainsim.water.ripples import block_reach, ring_reach
 
 assert simulated()

@@ -9,7 +9,8 @@ from factories import look, off_ground
 from rainsim.actors.footprint import Shadow
 from rainsim.shading import bodies, environment, walls, wetting
 from rainsim.shading.fresnel import fresnel
-from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
+from rainsim.shading.surface_point import GroundMaps, SurfacePoint
+from rainsim.shading.wetting import SkyMaps
 from rainsim.terrain.types import NO_TOPS, Grid
 
 F4 = np.float32

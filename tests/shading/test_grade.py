@@ -8,11 +8,12 @@ from rainsim.constants import FAR_AWAY, SURFACE_ALPHA
 from rainsim.numerics import pixel_batches
 from rainsim.numerics.interpolation import bilinear, map_place
 from rainsim.scene.view import View, pixel_ray
-from rainsim.shading import sky, wet_pass, wetting
+from rainsim.shading import sky, surface_point, wet_pass, wetting
 from rainsim.shading.dampness import find_dampness
 from rainsim.shading.grading import is_edge, undiluted
 from rainsim.shading.smooth_normals import smooth_normal
-from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
+from rainsim.shading.surface_point import GroundMaps, SurfacePoint
+from rainsim.shading.wetting import SkyMaps
 
 F4 = np.float32
 HEIGHT, WIDTH, CELLS = 3, wet_pass.CHUNK + 37, 40
@@ -78,12 +79,12 @@ def pixel_by_pixel(dry, ground, rain, skies, look, apart):
         ray, normal = F4(pixel_ray(VIEW, row, column)), TURN @ dry.normal[at]
         length, alpha = F4(np.linalg.norm(ray)), dry.alpha[at]
         with np.errstate(invalid="ignore"):  # infinite depths
-            d, e = wet_pass.depth_of_surface(
+            d, e = surface_point.depth_of_surface(
                 dry.depth[at] * UNIT, dry.plane_depth[at] * UNIT, normal[2]
             )
             point = SurfacePoint(*(EYE + e * ray), *normal, e * length)
             if ground.layer.size and alpha >= SURFACE_ALPHA:
-                point, d = wetting.on_bed(point, e, d, *ray, ground)
+                point, d = surface_point.on_bed(point, e, d, *ray, ground)
         around = normal
         if dry.around > 0 and alpha >= SURFACE_ALPHA:
             around = TURN @ F4(smooth_normal(
@@ -128,22 +129,22 @@ def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisone
     beside = 0
     for at in zip(*np.nonzero(np.isfinite(depth)), strict=True):
         ray, normal = F4(pixel_ray(VIEW, *at)), TURN @ dry.normal[at]
-        d, e = wet_pass.depth_of_surface(
+        d, e = surface_point.depth_of_surface(
             dry.depth[at] * UNIT, dry.plane_depth[at] * UNIT, normal[2]
         )
         length = F4(np.linalg.norm(ray))
         point = SurfacePoint(*(EYE + e * ray), *normal, e * length)
-        clearance, above = wetting.heights_of(point, True, ground)
+        clearance, above = surface_point.heights_of(point, True, ground)
         drawn = map_place(*(EYE + d * ray)[:2], ORIGIN, SPACING)
         beside += clearance < FAR_AWAY and not -0.5 < max(drawn, key=abs) < CELLS - 0.5
-        if wetting.ground_share(clearance, normal[2], F4(0)) < 1:
+        if surface_point.ground_share(clearance, normal[2], F4(0)) < 1:
             alpha, around = dry.alpha[at], TURN @ F4(smooth_normal(
                 dry.depth, dry.normal, *at, HEIGHT, WIDTH, VIEW.fx, dry.around / UNIT
             ))  # fmt: skip
             rgb = undiluted(*dry.color[at], alpha if is_edge(alpha, look) else F4(1))
             lean = wetting.wetted_normal(*rgb, above, point, tuple(around), F4(0))
             point = SurfacePoint(*(EYE + e * ray), *lean, e * length)
-        level = wetting.ground_share(above, point.nz, F4(0))
+        level = surface_point.ground_share(above, point.nz, F4(0))
         wanted[at] = wetting.wet_state(point, clearance, above, level, ground, rain).dampness
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-4)
     assert beside > 0 and (wanted > 0.05).mean() > 0.3 and np.ptp(wanted) > 0.5
@@ -248,7 +249,7 @@ def test_a_sheet_before_or_behind_poor_ground_is_seen_on_the_bed(height):
     ground, ray = poor_ground(), F4([0.2, 1.0, -0.4])
     depth = F4((0.1 + height - 1.6) / ray[2])
     point = SurfacePoint(*(F4([0, -1, 1.6]) + depth * ray), *F4([0, -1, 0]), depth)
-    found, drawn = wetting.on_bed(point, depth, depth, *ray, ground)
+    found, drawn = surface_point.on_bed(point, depth, depth, *ray, ground)
     np.testing.assert_allclose(found[:3], F4([0, -1, 1.6]) + 3.75 * ray, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose((found.nx, found.ny, found.nz, drawn), (0, 0, 1, 3.75), atol=1e-5)
 
@@ -259,7 +260,7 @@ def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
     def moved(height):
         depth = F4((0.1 + height - 1.6) / ray[2])
         point = SurfacePoint(*(F4([0, -1, 1.6]) + depth * ray), *F4([0, -1, 0]), depth)
-        return wetting.on_bed(point, depth, depth, *ray, ground)[1] - depth
+        return surface_point.on_bed(point, depth, depth, *ray, ground)[1] - depth
 
     heights = np.arange(0.3, 1.0, 0.01)
     ways = np.array([moved(height) for height in heights])
@@ -267,15 +268,17 @@ def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
     assert np.abs(np.diff(ways)).max() < 0.1
     # A camera below the bed, as mirrored ones are, and one that looks up, see no ground.
     point = SurfacePoint(*F4([0, 0, 0.2]), *F4([0, -1, 0]), F4(1))
-    assert wetting.on_bed(point, F4(1), F4(1), *F4([0, 1, 0.3]), ground)[0] == point
+    assert surface_point.on_bed(point, F4(1), F4(1), *F4([0, 1, 0.3]), ground)[0] == point
     nowhere = point._replace(x=F4(np.nan), y=F4(np.nan))
-    assert np.isfinite(wetting.layer_at(ground, *map_place(nowhere.x, nowhere.y, ORIGIN, SPACING)))
+    assert np.isfinite(
+        surface_point.layer_at(ground, *map_place(nowhere.x, nowhere.y, ORIGIN, SPACING))
+    )
 
 
 def test_ground_is_told_without_a_step_of_height_or_normal():
     heights, upness = np.linspace(-0.5, 0.6, 221), np.linspace(-1, 1, 201)
     share = np.array([
-        [wetting.ground_share(F4(h), F4(u), F4(0)) for u in upness] for h in heights
+        [surface_point.ground_share(F4(h), F4(u), F4(0)) for u in upness] for h in heights
     ])  # fmt: skip
     assert share[heights < 0.04].min() == 1 and share[heights > 0.41].max() == 0
     assert (

@@ -13,7 +13,7 @@ from rainsim.numerics.approximations import (
 from rainsim.particles import drop_radiance, fog
 from rainsim.scene.view import View
 from rainsim.shading import environment as maps
-from rainsim.shading import sky, walls, wetting
+from rainsim.shading import sky, surface_point, walls, wetting
 from rainsim.shading.color import (
     display_from_linear,
     linear_from_display,
@@ -24,7 +24,7 @@ from rainsim.shading.fresnel import (
     schlick,
 )
 from rainsim.shading.grading import graded
-from rainsim.shading.wetting import SurfacePoint
+from rainsim.shading.surface_point import SurfacePoint
 
 AS_CAPTURED = look(albedo=0.85)
 DULL = AS_CAPTURED._replace(exposure=0.7, compression=1.2)
@@ -128,7 +128,7 @@ def test_level_things_gloss_by_their_water_alone_where_tops_are_drawn():
 
     def gloss(height, tops_end):
         look = AS_CAPTURED._replace(tops_end=tops_end)
-        level = wetting.ground_share(np.float32(height), np.float32(1), np.float32(0))
+        level = surface_point.ground_share(np.float32(height), np.float32(1), np.float32(0))
         return wetting.rainy_color(
             0.2, 0.15, 0.1, 1.0, -0.3, 0.3, 1.0, height, level, wet, look
         )[3]  # fmt: skip

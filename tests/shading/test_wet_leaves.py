@@ -8,7 +8,8 @@ from rainsim.numerics.srgb import linear
 from rainsim.shading import environment, wetting
 from rainsim.shading.color import luminance
 from rainsim.shading.fresnel import SCHLICK, fresnel, schlick
-from rainsim.shading.wetting import GroundMaps, SkyMaps, SurfacePoint
+from rainsim.shading.surface_point import GroundMaps, SurfacePoint
+from rainsim.shading.wetting import SkyMaps
 
 F4 = np.float32
 LOOK = look()

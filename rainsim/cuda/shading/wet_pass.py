@@ -12,9 +12,10 @@ from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.scene.view import column_slope, row_slope, view_from, view_of_arrays
 from rainsim.shading.grading import look_from
 from rainsim.shading.smooth_normals import AROUND, NO_AROUND, smooth_normal, turn_of, turned
-from rainsim.shading.wet_pass import NO_DEPTH, DryPicture, seen_surface
+from rainsim.shading.surface_point import GroundMaps, seen_surface
+from rainsim.shading.wet_pass import NO_DEPTH, DryPicture
 from rainsim.shading.wetness import off_ground_from
-from rainsim.shading.wetting import GroundMaps, SkyMaps, wet_pixel
+from rainsim.shading.wetting import SkyMaps, wet_pixel
 
 BLOCK = (32, 8)  # threads: columns, rows
 

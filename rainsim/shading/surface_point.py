@@ -1,0 +1,220 @@
+"""What a pixel shows of a captured surface: its place, and whether that is the ground.
+
+Where the bed is poorly known, splats of the ground lie before and behind it: then the ray that
+shows one shows the bed, where it meets that. Places and normals are in the ground frame.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rainsim.constants import FAR_AWAY, ONE, SURFACE_ALPHA, ZERO
+from rainsim.jit import inlined_function
+from rainsim.numerics.interpolation import bilinear, is_on_map, map_place, smoothstep
+from rainsim.shading.bodies import NO_BODIES
+from rainsim.shading.smooth_normals import turned
+
+FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level
+LEANS = np.float32(0.1)  # the same below which a surface counts as upright
+# Heights over the bed [m]: up to the first all is ground, from the second on what is upright is
+# not; up to the third what is level is ground, from the fourth on nothing is.
+FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
+LAYER_END = np.float32(2)  # the same over the thickness of a layer of splats about a poor bed
+NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
+WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
+TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
+
+
+class GroundMaps(NamedTuple):
+    """The mapped ground: its height and how wet each cell is; read-only."""
+
+    bed: np.ndarray  # (ny, nx) float32 [m]
+    wetness: np.ndarray  # (ny, nx, 4) float32, see `Wetness`
+    origin: np.ndarray  # (2,) float32 [m], corner of the first cell
+    spacing: np.float32  # m
+    bodies: np.ndarray = NO_BODIES  # (ny, nx, 3) or (0, 0, 3) uint8, see `bodies.body_map`
+    # How far from a poorly known bed the splats lie that show it, float32 [m], (ny, nx), less than
+    # two rows where it is known; and the most of it. See `on_bed`.
+    layer: np.ndarray = NO_LAYER
+    thickest_layer: np.float32 = ZERO
+
+
+class SurfacePoint(NamedTuple):
+    """A place on a captured surface: position [m], unit normal, distance from the eye [m]."""
+
+    x: np.float32
+    y: np.float32
+    z: np.float32
+    nx: np.float32
+    ny: np.float32
+    nz: np.float32
+    distance: np.float32
+
+
+@inlined_function
+def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
+    """Return what a pixel of the capture shows: view direction, depths, cosine and place.
+
+    Parameters
+    ----------
+    turn : tuple of 9 float32
+        Of the camera, see `turn_of`.
+    eye : tuple of 3 float32, or such an array [m]
+    a, b : float32
+        Slopes of the pixel's ray to the right and down.
+    normal : tuple of 3 float32
+        Unit, camera frame.
+    depth, plane_depth : float32 [m]
+        As splatted.
+    alpha : float32
+    ground : GroundMaps
+
+    Returns
+    -------
+    x, y, z : float32
+        Unit direction of view, ground frame.
+    drawn : float32 [m]
+        Depth of what is drawn.
+    cosine : float32
+        Between the normal and the way back to the eye.
+    point : SurfacePoint
+        Where it is wetted; at the eye if the pixel shows no surface.
+    """
+    x = turn[0] * a + turn[1] * b + turn[2]
+    y = turn[3] * a + turn[4] * b + turn[5]
+    z = turn[6] * a + turn[7] * b + turn[8]
+    length = math.sqrt(x * x + y * y + z * z)
+    inv = ONE / length
+    lean_x, lean_y, upness = turned(turn, normal[0], normal[1], normal[2])
+    cosine = -(normal[0] * a + normal[1] * b + normal[2]) * inv
+    d, e = depth_of_surface(depth, plane_depth, upness)
+    e = e if alpha >= SURFACE_ALPHA else ZERO
+    point = SurfacePoint(
+        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
+    )
+    if ground.layer.shape[0] > 1 and e > ZERO:
+        point, d = on_bed(point, e, d, x, y, z, ground)
+        cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
+    return x * inv, y * inv, z * inv, d, cosine, point
+
+
+@inlined_function
+def depth_of_surface(depth, plane_depth, upness):
+    """Return the depth that is drawn, and that of the place that is wetted.
+
+    The plane of the splats is far better on level ground, and can be wild on thin things. Along a
+    wall seen at a slant the splats' own depths scatter: there the plane is where the wall is wet.
+    """
+    drawn = plane_depth if upness > FLAT else depth
+    return drawn, plane_depth if abs(plane_depth - drawn) < WALL_SHARE * drawn else drawn
+
+
+@inlined_function
+def heights_over(bed, z, inside, solid):
+    """Return what `heights_of` does, of a surface at z [m] over a bed that is known if `inside`."""
+    clearance, height = z - bed if inside else FAR_AWAY, z - bed if inside else z
+    return clearance if solid else FAR_AWAY, height if solid else FAR_AWAY
+
+
+@inlined_function
+def heights_of(point, solid, ground):
+    """Return where a surface is over the ground.
+
+    Parameters
+    ----------
+    point : SurfacePoint
+    solid : bool
+        Whether there is a surface at all.
+    ground : GroundMaps
+
+    Returns
+    -------
+    clearance : float32 [m]
+        Height over the bed; FAR_AWAY without a surface, and off the map. Poorly known ground goes
+        on beyond the map as at its border.
+    height : float32 [m]
+        The same, but off the map the height over the ground plane.
+    """
+    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+    inside = ground.thickest_layer > ZERO or is_on_map(u, v, ground.bed)
+    bed = bed_at(ground, u, v) if inside & solid else ZERO
+    return heights_over(bed, point.z, inside, solid)
+
+
+@inlined_function
+def within(ground, u, v):
+    """Return the column and row of the map that are nearest to u, v; 0 for NaN."""
+    # In this order NaN gives 0.
+    u = min(np.float32(ground.wetness.shape[1]) - TO_BORDER, max(ZERO, u))
+    return u, min(np.float32(ground.wetness.shape[0]) - TO_BORDER, max(ZERO, v))
+
+
+@inlined_function
+def ground_share(height, upness, layer):
+    """Return how surely a surface at a height [m] over the bed is the ground, 0 to 1.
+
+    What is low is ground, however its splats lie; what is somewhat higher is if it is level. A step
+    of the cosine `upness` to the vertical would draw the noise of normals as patches. `layer` is
+    the thickness of the splats about a bed that is poorly known [m], 0 elsewhere.
+    """
+    foot = ONE - smoothstep(max(FOOT, layer), max(FOOT_END, LAYER_END * layer), height)
+    low = ONE - smoothstep(max(LOW, layer), max(HIGH, LAYER_END * layer), height)
+    return max(foot, low * smoothstep(LEANS, FLAT, upness))
+
+
+@inlined_function
+def bed_at(ground, u, v):
+    """Return the bed's height at column u and row v [m], beyond the map as at its border."""
+    return bilinear(ground.bed, max(ZERO, u), max(ZERO, v))  # in this order NaN gives 0
+
+
+@inlined_function
+def layer_at(ground, u, v):
+    """Return the thickness of the splats about the bed at column u and row v [m]."""
+    if ground.layer.shape[0] < 2:
+        return ZERO
+    return bilinear(ground.layer, max(ZERO, u), max(ZERO, v))  # in this order NaN gives 0
+
+
+@inlined_function
+def on_bed(point, depth, drawn, x, y, z, ground):
+    """Return a surface point, its depth and the drawn depth, moved to the bed if it shows that.
+
+    Splats of poor ground lie before or behind it. The ray that shows one shows the ground where it
+    meets the bed, and the ground faces up.
+
+    Parameters
+    ----------
+    point : SurfacePoint
+    depth, drawn : float32 [m]
+        Along the view axis: of the point, and of what is drawn.
+    x, y, z : float32
+        Way [m] along the ray for a metre of depth; the point is `depth` of it from the eye.
+    ground : GroundMaps
+        Its bed is poorly known.
+    """
+    eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
+    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+    layer = layer_at(ground, u, v)
+    bed = bed_at(ground, u, v)
+    some = max(layer, np.float32(1e-3))
+    share = ONE - smoothstep(some, LAYER_END * some, point.z - bed) if layer > ZERO else ZERO
+    if point.z < bed:  # nothing lies below the ground, whatever stands there
+        share = ONE
+    if not (share > ZERO and z < ZERO and eye_z > bed):
+        return point, drawn
+    to = (bed - eye_z) / z
+    u, v = map_place(eye_x + to * x, eye_y + to * y, ground.origin, ground.spacing)
+    to = (bed_at(ground, u, v) - eye_z) / z
+    e = depth + share * (to - depth)
+    nx, ny, nz = (ONE - share) * point.nx, (ONE - share) * point.ny, point.nz
+    nz += share * (ONE - nz)
+    inv = ONE / max(math.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-6))
+    place = SurfacePoint(
+        eye_x + e * x, eye_y + e * y, eye_z + e * z, nx * inv, ny * inv, nz * inv,
+        point.distance * (e / depth),
+    )  # fmt: skip
+    return place, drawn + share * (to - drawn)
