@@ -113,7 +113,7 @@ def test_halos_of_lamps(view, poisoned):
 
 def test_grade_and_wet(view, poisoned):
     day, around = sky.overcast(), sky.overcast(0.7)
-    look = np.array([0.8, 0.9, 0.8, 30, 1, 0.85, 0.6, 1.3, EXACT], F4)
+    look = np.array([0.8, 0.9, 0.8, 1, 0.85, 0.6, 1.3, EXACT], F4)
     wetness = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 4)).astype(F4)
     bodies = np.full((CELLS, CELLS, 3), 255, np.uint8)
     bodies[..., 0], bodies[..., 1] = 0, 100  # all that stands is a smooth body
