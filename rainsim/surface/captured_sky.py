@@ -102,17 +102,30 @@ class SkyColors:
             return [np.full(view.depth.shape, -1, np.int8) for view in views]
         return [self._parts(*pair) for pair in zip(views, self.exposure, strict=True)]
 
+    def no_surface(self, views, parts):
+        """Return the masks of pixels in which no surface is sought; `parts` are those of `parts`.
+
+        Under a blue sky whatever has its colour: panes mirror it, and haze before it shows it.
+        """
+        if self.color is None or _is_grey(self.color.reshape(-1, 3)):
+            return [part > 0 for part in parts]
+        return [self._alike(view, e)[0] for view, e in zip(views, self.exposure, strict=True)]
+
+    def _alike(self, view, exposure):
+        """Return which pixels have the sky's colour, by how much more, and their sine of height."""
+        direction = directions(view)
+        more = self._more(view.light, direction, exposure)
+        near = (np.abs(more).max(axis=-1) < SAME) & (direction[..., 2] > LOWEST)
+        return ndimage.median_filter(near, 3), more, direction[..., 2]
+
     def _parts(self, view, exposure):
         """Return what the pixels of a view show, region by region, see `parts`.
 
         A region of the sky has the sky's colour, or is a cloud, and goes on past the edge of the
         picture where it is highest. A pane, a pale roof or a white house ends below that.
         """
-        direction = directions(view)
-        high = direction[..., 2]
-        more = self._more(view.light, direction, exposure)
+        near, more, high = self._alike(view, exposure)
         off = np.abs(more).max(axis=-1)
-        near = ndimage.median_filter((off < SAME) & (high > LOWEST), 3)
         cloud = ~near & (more.min(axis=-1) > -SAME) & (high > LOWEST)
         sky = near | _clouds(cloud, near, high)
         label, count = ndimage.label(sky)

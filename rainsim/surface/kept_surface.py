@@ -107,8 +107,7 @@ def find_surface(scene):
     views = depth_views(scene, cameras, rasterizer)
     colors = SkyColors(views)
     parts = colors.parts(views)
-    shown = [part > 0 for part in parts]
-    leave_out_sky(views, shown)
+    leave_out_sky(views, colors.no_surface(views, parts))
     surface = fused(views, middle, half)
     near = _nearest(surface.position, position, good)
     sky = np.zeros(len(position), bool)
@@ -121,7 +120,16 @@ def find_surface(scene):
     solid = _solid(position, near, splats, good & ~sky, views, frame, surface)
     picture = ground_picture(views)
     shade = None if picture is None else ground_shade(picture)
-    return Found(surface, sky, aloft, middle, solid, seen_sky(views, shown), half, shade)
+    return Found(
+        surface,
+        sky,
+        aloft,
+        middle,
+        solid,
+        seen_sky(views, [part > 0 for part in parts]),
+        half,
+        shade,
+    )
 
 
 def _solid(position, near, splats, good, views, frame, surface):
