@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import ndimage
+from skimage.morphology import reconstruction
 
 from rainsim import raster
 from rainsim.terrain import bed as bedding
@@ -19,6 +20,8 @@ WINDOW = 0.45  # of the cameras' height about the level, within which splats tel
 POOR = 0.06  # of the cameras' height: root mean square from which on the ground is not known
 CELL = 1.0  # m, in which the splats below the level are gathered
 LEAST_COVER = 0.05  # of a cell by such splats, for it to count
+CARRIED = 4.0  # m over the ground: higher cameras fly
+SMOOTH = 3.0  # m, standard deviation of the smoothing of a level that is seen from the air
 ALONG = 5.0  # of the cameras' height: how far along a path its cameras tell the ground's height
 FEWEST, SLOW = 6, 0.5  # cameras of a path; share of their rise that may differ from one to the next
 # How far from the bed splats lie that show it, in times their scatter: near things, and elsewhere;
@@ -82,9 +85,9 @@ class PoorGround:
         Of the whole map.
     scatter : float [m]
         See `scatter_of`.
-    height : float [m]
-        Of the cameras.
     eyes : ndarray of shape (n, 3) [m]
+    followed : callable
+        The level that is followed from cell to cell, see `slab.follow_ground`.
 
     Attributes
     ----------
@@ -94,22 +97,30 @@ class PoorGround:
         How far from the bed most splats lie that show it.
     """
 
-    def __init__(self, scene, grid, scatter, height, eyes):
-        self._scene, self._grid, self._colors = scene, grid, None
-        self._scatter, self._height = scatter, height
-        self._eyes = eyes[np.abs(eyes[:, 2] - height) < WINDOW * height]  # others are misplaced
-        self.level = level_below(self._eyes)
-        self.layer = min(LAYER * scatter, WENT * height)
+    def __init__(self, scene, grid, scatter, eyes, followed):
+        self._scene, self._grid, self._colors, self._scatter = scene, grid, None, scatter
+        self._height = height = max(float(np.median(eyes[:, 2])), 0.1)
+        self._reach = min(height, CARRIED)
+        if height > CARRIED:  # from the air no camera was where things stand
+            self.level, self._eyes = smooth_level(followed, grid), eyes[:0]
+        else:
+            self._eyes = eyes[np.abs(eyes[:, 2] - height) < WINDOW * height]  # others are misplaced
+            self.level = level_below(self._eyes)
+        self.layer = min(LAYER * scatter, WENT * self._reach)
 
     @classmethod
-    def of(cls, scene, grid, above, position, cover):
-        """Return the poor ground of a scene; None if it is well known, or without cameras."""
+    def of(cls, scene, grid, above, position, cover, followed):
+        """Return the poor ground of a scene; None if it is well known, or without cameras.
+
+        `followed` is the level that `slab.follow_ground` returns, `above` are the heights of the
+        splats over that [m].
+        """
         if not scene.cameras:
             return None
         eyes = np.array([scene.ground_frame.to_ground(c.position) for c in scene.cameras])
-        height = max(float(np.median(eyes[:, 2])), 0.1)
+        height = np.clip(np.median(eyes[:, 2]), 0.1, CARRIED)
         scatter = scatter_of(above, position, cover, height)
-        return cls(scene, grid, scatter, height, eyes) if scatter else None
+        return cls(scene, grid, scatter, eyes, followed) if scatter else None
 
     def bed(self, grid):
         """Return what `bed_of` does, of a part of the map."""
@@ -123,12 +134,15 @@ class PoorGround:
 
     def cover(self, places, grid, bed, ceiling):
         """Return what `cover` does, of `places` on which cameras agree, (n, 3) [m]."""
-        return cover(places, grid, bed, self.layer, ceiling, path_of(self._eyes, grid))
+        above = np.array(places)
+        above[:, 2] -= self.level(*above[:, :2].T)
+        top, low = cover(above, grid, self.layer, ceiling, path_of(self._eyes, grid))
+        return bed + top, bed + low
 
     def layer_map(self, grid, stands):
         """Return what `layer_map` does; `stands` (ny, nx), bool, is where things stand."""
         went = path_of(self._eyes, grid)
-        return layer_map(stands, went, grid.spacing, self._scatter, self._height)
+        return layer_map(stands, went, grid.spacing, self._scatter, self._reach)
 
 
 def level_below(eyes):
@@ -222,6 +236,23 @@ def filled(color, seen):
     return np.clip(np.stack(soft, -1), 0, 1), known
 
 
+def smooth_level(followed, grid):
+    """Return a level that is followed from the air without its noise, as `level_below` does.
+
+    It has no hollows: those of dry ground are a puddle's, and nobody knows them to the centimetre.
+    """
+    coarse = [np.arange(grid.origin[k], grid.origin[k] + grid.size[k] + CELL, CELL) for k in (0, 1)]
+    height = ndimage.gaussian_filter(followed(*np.meshgrid(*coarse)), SMOOTH / CELL)
+    rim = np.pad(np.full(np.array(height.shape) - 2, height.max()), 1, constant_values=-np.inf)
+    height = reconstruction(np.maximum(rim, height), height, "erosion")
+
+    def level(x, y):
+        place = [(np.ravel(y) - coarse[1][0]) / CELL, (np.ravel(x) - coarse[0][0]) / CELL]
+        return ndimage.map_coordinates(height, place, order=1, mode="nearest")
+
+    return level
+
+
 def bed_of(patches, color, known, grid, level):
     """Return bed [m], source, noise [m], colour and excess green of ground that is poorly known.
 
@@ -275,15 +306,15 @@ def path_of(eyes, grid):
     return ndimage.distance_transform_edt(~went) * grid.spacing < WIDE * height
 
 
-def cover(places, grid, bed, layer, ceiling, went):
-    """Return top and underside [m] of what stands on or hangs over poorly known ground.
+def cover(places, grid, layer, ceiling, went):
+    """Return top and underside over the bed [m] of what is on or over poorly known ground.
 
     Parameters
     ----------
     places : ndarray of shape (n, 3) [m]
-        Of surfaces on which cameras agree: splats before few cameras look like things.
+        Of surfaces on which cameras agree, with heights over the level: splats before few cameras
+        look like things.
     grid : Grid
-    bed : ndarray of shape (ny, nx) [m]
     layer : float [m]
         How far from the bed the splats lie that show it.
     ceiling : float [m]
@@ -300,8 +331,8 @@ def cover(places, grid, bed, layer, ceiling, went):
     size = 2 * max(1, round(THICK / grid.spacing)) + 1
     top, low = ndimage.maximum_filter(top, size), ndimage.minimum_filter(low, size)
     there = np.isfinite(top)
-    low = np.where(low < layer + STANDS, bed, low)
-    return np.where(there, top, bed), np.where(there, np.minimum(low, top), bed)
+    low = np.where(low < layer + STANDS, 0, low)
+    return np.where(there, top, 0), np.where(there, np.minimum(low, top), 0)
 
 
 def layer_map(stands, went, spacing, scatter, height):

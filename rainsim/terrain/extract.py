@@ -318,7 +318,7 @@ class _Cloud:
         self.poor = None
         if level is None:
             self.poor = assumed_bed.PoorGround.of(
-                scene, grid, self.above, self.position, self.cover
+                scene, grid, self.above, self.position, self.cover, self.level
             )
         self.slab = SLAB
         if self.poor is not None:

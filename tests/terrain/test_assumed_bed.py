@@ -61,17 +61,29 @@ def test_ground_goes_up_and_down_with_a_walk_and_not_with_hands():
 def test_where_cameras_went_nothing_stands():
     eyes = np.array([[-6.0, 0, 1.6], [-3, 0, 1.6], [0, 0, 1.6]])
     went = assumed_bed.path_of(eyes, GRID)
-    bed = np.zeros(GRID.shape, np.float32)
     wall = [(x, 4.0, z) for x in np.arange(-6, 6, 0.04) for z in (0.5, 1.0, 2.0)]
     veil = [(-4.5, y, z) for y in np.arange(-0.4, 0.4, 0.04) for z in (0.6, 1.2)]
     eave = [(x, -4.0, 2.5) for x in np.arange(-6, 6, 0.04)]
-    top, low = assumed_bed.cover(np.array(wall + veil + eave), GRID, bed, 0.4, 3.0, went)
+    top, low = assumed_bed.cover(np.array(wall + veil + eave), GRID, 0.4, 3.0, went)
     row = {y: int((y + 6) / 0.04) for y in (4, 0, -4)}
     assert (top[row[4], 60:340] == 2.0).all() and not low[row[4]].any()  # it stands on the ground
     assert (top[row[-4], 60:340] == 2.5).all() and (low[row[-4], 60:340] == 2.5).all()
     assert not top[row[0]].any()
-    layer = assumed_bed.layer_map(top > bed, went, 0.04, 0.15, 1.6)
+    layer = assumed_bed.layer_map(top > 0, went, 0.04, 0.15, 1.6)
     assert layer[row[0], 80] > layer[30, 380] > layer[row[4], 200] > 0
+
+
+def test_a_level_from_the_air_is_smooth_and_has_no_hollows():
+    def followed(x, y):
+        return 0.05 * x + 0.3 * np.sin(3 * x) - 0.5 * np.exp(-((x - 3) ** 2 + (y - 2) ** 2) / 8)
+
+    grid = Grid((150, 200), (-10.0, -7.0), 0.1)
+    level = assumed_bed.smooth_level(followed, grid)
+    x = np.arange(-8.0, 9.0, 0.5)
+    along = level(x, 0 * x)
+    assert 0.4 < along[-1] - along[0] < 1.0 and np.diff(along).min() > -0.02
+    assert np.diff(level(x, 0 * x + 2)).min() > -0.02  # where the hollow is
+    assert np.diff(followed(x, 0 * x + 2)).min() < -0.2
 
 
 def poor_scene(scatter):
