@@ -3,14 +3,15 @@
 Exports an orbit of a scene clear and in each rain, every view at its own moment, and trains on it.
 `--against clear_air` judges by the same rain's views without what falls: light and wet ground are
 theirs, so that the drops alone are to blame.
-Needs `pip install "rainsim[downstream]"`; without a GPU give a tiny width, few splats and degree=0.
+Needs `pip install "rainsim[downstream]"` and PYTHONPATH=. in a checkout.
+Without a GPU give a tiny width, few splats and degree=0.
 """
 
 import argparse
 import json
 from pathlib import Path
 
-from rainsim.bench.downstream import AGAINST, CLEAR, measure
+from benchmarks.downstream import AGAINST, CLEAR, measure
 from rainsim.cli import cli
 from rainsim.scene.cameras import orbit, write_transforms
 from rainsim.scene.library import load_scene

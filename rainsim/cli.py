@@ -11,7 +11,6 @@ import click
 
 from rainsim import __version__
 from rainsim.commands import (
-    bench,
     doctor,
     export,
     film,
@@ -114,8 +113,6 @@ for _command in (
     view.view,
     tools.scenes,
     tools.presets,
-    bench.bench,
-    bench.validate,
     tools.warmup,
     doctor.doctor,
 ):

@@ -12,7 +12,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted([*DOCS.rglob("*.md"), ROOT / "README.md"])
 FENCE = re.compile(r"^```(\S*) *\n(.*?)^```", re.M | re.S)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
-PROGRAMS = ("rainsim",)
+BENCHMARKS = ["python", "-m", "benchmarks"]  # words of its commands, from a checkout
 
 
 class Block(NamedTuple):
@@ -23,7 +23,7 @@ class Block(NamedTuple):
 
 
 class Command(NamedTuple):
-    """A command of the program: its words, and the file that takes what it prints, or None."""
+    """A command of rainsim or its benchmarks: its words; the file for what it prints, or None."""
 
     words: list
     into: str | None
@@ -40,7 +40,7 @@ def blocks(path):
 
 
 def commands(block):
-    """Return the program's commands in a block without a language."""
+    """Return the commands of rainsim and its benchmarks in a block without a language."""
     if block.language:
         return []
     found = []
@@ -49,7 +49,9 @@ def commands(block):
             words = shlex.split(part, comments=True) if "'" not in part else part.split()
             while words and re.fullmatch(r"[A-Z_]+=\S*", words[0]):
                 words = words[1:]
-            if words and words[0] in PROGRAMS:
+            if words[:3] == BENCHMARKS:
+                words = words[2:]
+            if words and words[0] in ("rainsim", "benchmarks"):
                 into = words[words.index(">") + 1] if ">" in words else None
                 found.append(Command(words[: words.index(">")] if into else words, into))
     return found

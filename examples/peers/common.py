@@ -1,4 +1,4 @@
-"""The cases of `rainsim bench water` for other programs: the same start, the same exact depth.
+"""The cases of `benchmarks water` for other programs: the same start, the same exact depth.
 
 A program is a function `prepare(make, cells)` that returns `advance()`, which runs the case to its
 end and returns the depth of the cells, ndarray of shape (ny, nx) [m]. Processor time is that of
@@ -8,8 +8,8 @@ end and returns the depth of the cells, ndarray of shape (ny, nx) [m]. Processor
 import argparse
 import time
 
-from rainsim.bench.cases import error_of
-from rainsim.bench.water import SUITE
+from benchmarks.cases import error_of
+from benchmarks.water import SUITE
 
 CASES = {"stoker": 256, "ritter": 256, "bowl planar": 100, "bowl radial": 100, "ripple": 128}
 

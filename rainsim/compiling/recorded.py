@@ -1,8 +1,8 @@
 """The recorded list: kernels that a use needs, their argument types and their times to compile.
 
-`rainsim bench compile --write` makes the list; a test fails when it is out of date. At run time an
-entry that no longer fits is skipped, and its kernel compiled when it is called, as one that is not
-on the list.
+`python -m rainsim.commands.record` makes the list; a test fails when it is out of date. At run time
+an entry that no longer fits is skipped, and its kernel compiled when it is called, as one that is
+not on the list.
 """
 
 import json

@@ -144,7 +144,7 @@ class RenderConfig(Group):
         "auto", "mirror_size", "",
         "size of mirrored pictures; auto halves them where ripples blur them",
         OneOf("auto", "full", "half"), touches=(),
-        kept_for="`rainsim bench look` and `rainsim bench frame` compare full mirrors with these")
+        kept_for="`benchmarks look` and `benchmarks frame` compare full mirrors with these")
     film: str = setting(
         "auto", "film", "", "the mirror of wet ground between puddles: auto draws it where it "
         "shows, mirror always, environment glosses only",
@@ -191,7 +191,7 @@ class RenderConfig(Group):
     streak_far: float = setting(
         8.0, "streak_far_m", "m", "depth beyond which drops are drawn as fog",
         positive("8 is usual", low=0.1, high=1e3), touches=(),
-        kept_for="`rainsim bench frame` compares rain to 3 m, 8 m and 16 m")
+        kept_for="`benchmarks frame` compares rain to 3 m, 8 m and 16 m")
     reach_exposure: float = setting(  # s; 0: that of the shutter
         0.0, rule=not_negative(), touches=(),
         kept_for="pictures of parts of an exposure draw the drops that one of the whole would draw")

@@ -156,7 +156,7 @@ def bed_error(terrain):
     """Return how far the bed of the paving is off [m], root mean square.
 
     Smoothing leaves slow waves besides what it leaves of the noise: in synthetic captures with 1, 3
-    and 10 mm of noise (`rainsim bench ground`) the bed is 4.7, 4.9 and 5.0 times that off.
+    and 10 mm of noise (`benchmarks ground`) the bed is 4.7, 4.9 and 5.0 times that off.
     """
     return ERROR_PER_NOISE * bed_noise(terrain)
 

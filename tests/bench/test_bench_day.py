@@ -1,4 +1,4 @@
-"""`bench day`: its measures on pictures whose answer is known, its gardens, what it ships."""
+"""`benchmarks day`: its measures on pictures whose answer is known, its gardens, what it ships."""
 
 import sys
 from dataclasses import replace
@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from skimage.color import deltaE_ciede2000, rgb2lab
 
-from rainsim.bench import day, day_capture, day_data, day_ground, day_score, day_shapes, day_trained
-from rainsim.bench.day_case import Rain, Sun
-from rainsim.bench.day_court import COURT
-from rainsim.bench.day_data import REGIONS, Labels
-from rainsim.bench.day_mitsuba import DULL, Garden, require_mitsuba, under_skin
-from rainsim.bench.day_patio import PATIO
-from rainsim.bench.day_remake import small
+from benchmarks import day, day_capture, day_data, day_ground, day_score, day_shapes, day_trained
+from benchmarks.day_case import Rain, Sun
+from benchmarks.day_court import COURT
+from benchmarks.day_data import REGIONS, Labels
+from benchmarks.day_mitsuba import DULL, Garden, require_mitsuba, under_skin
+from benchmarks.day_patio import PATIO
+from benchmarks.day_remake import small
 from rainsim.errors import InputError, ParameterError
 from rainsim.scene.types import Splats
 
@@ -354,7 +354,7 @@ def test_slabs_are_as_bright_in_the_traced_rain_as_in_the_dull_capture(case):
 @pytest.mark.slow
 def test_a_small_patio_made_again_is_like_the_one_shipped(tmp_path):
     pytest.importorskip("mitsuba")
-    from rainsim.bench.day_remake import remake
+    from benchmarks.day_remake import remake
 
     def build():
         shapes, paving = PATIO.build()

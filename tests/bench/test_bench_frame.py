@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rainsim.bench import chart, frame, frame_levels
+from benchmarks import chart, frame, frame_levels
 
 
 def test_error_of_known_pictures():

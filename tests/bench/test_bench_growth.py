@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import factories
-from rainsim.bench import chart, growth
+from benchmarks import chart, growth
 from rainsim.raster import prepare, rasterize
 from rainsim.scene.cameras import look_at
 

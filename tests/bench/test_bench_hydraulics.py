@@ -1,11 +1,11 @@
-"""`bench hydraulics`: exact flows satisfy their equations; errors fall with the grid."""
+"""`benchmarks hydraulics`: exact flows satisfy their equations; errors fall with the grid."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from rainsim.bench import cases, chart, flood_cases, held_cases, hydraulic_cases, hydraulics, water
+from benchmarks import cases, chart, flood_cases, held_cases, hydraulic_cases, hydraulics, water
 from rainsim.jit import set_threads
 
 G, SUITE = hydraulic_cases.GRAVITY, hydraulics.SUITE

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rainsim.bench import lod
+from benchmarks import lod
 
 
 @pytest.mark.slow

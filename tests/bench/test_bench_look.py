@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage
 from skimage.metrics import structural_similarity
 
-from rainsim.bench import truth as truth_bench
+from benchmarks import truth as truth_bench
 from rainsim.reflection.water_pass import WetPicture
 from rainsim.scene.view import View
 
@@ -100,6 +100,6 @@ def test_why_the_camera_does_not_see_a_traced_end(water):
 def test_a_process_for_each_method_tells_its_own_memory():
     """Not that of the process that starts it, which is larger here."""
     held = np.ones(80_000_000)  # 640 MB
-    code = "from rainsim.bench import suite; print(suite.peak() / 2**20)"
+    code = "from benchmarks import suite; print(suite.peak() / 2**20)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 10 < float(done.stdout) < 400 < held.nbytes / 2**20

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rainsim.bench import rain
+from benchmarks import rain
 
 
 def test_the_gauge_and_the_waves_are_read():

@@ -7,10 +7,10 @@ import pytest
 
 import factories
 import naive
+from benchmarks import splat, splat_choices
+from benchmarks.splat_truth import draw_truth
+from benchmarks.variants import variant
 from rainsim import raster
-from rainsim.bench import splat, splat_choices
-from rainsim.bench.splat_truth import draw_truth
-from rainsim.bench.variants import variant
 from scenes import tiny_scene
 
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 from PIL import Image
 
-from rainsim.bench import chart
+from benchmarks import chart
 
 pyplot = pytest.importorskip("matplotlib.pyplot")
 RANGES = [(1, 1.1), (19, 22), (340, 1280), (0.29, 0.41), (15, 41), (0.02, 5), (1e-6, 0.3), (4, 9)]

@@ -5,9 +5,9 @@ import runpy
 import numpy as np
 import pytest
 
+from benchmarks.splat import decibel
+from benchmarks.splat_truth import draw_truth
 from rainsim import raster
-from rainsim.bench.splat import decibel
-from rainsim.bench.splat_truth import draw_truth
 from rainsim.scene.activate import activate
 from rainsim.scene.cameras import load_cameras
 

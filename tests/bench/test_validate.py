@@ -1,9 +1,9 @@
-"""`rainsim validate`: the rule of its verdicts, its rows and the texts that it prints."""
+"""`benchmarks validate`: the rule of its verdicts, its rows and the texts that it prints."""
 
 import numpy as np
 import pytest
 
-from rainsim.bench import validate
+from benchmarks import validate
 
 
 def test_a_verdict_follows_from_the_tolerance_alone():

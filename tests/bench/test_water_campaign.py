@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from rainsim.bench.stress import MOST_SPEED, _Extremes
+from benchmarks.stress import MOST_SPEED, _Extremes
 from rainsim.errors import DivergedError
 from rainsim.grid import WaterSolver
 from rainsim.jit import set_threads

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rainsim.bench import cases
-from rainsim.bench.chart import front
-from rainsim.bench.peers import SECONDS_AND_ERRORS
-from rainsim.bench.stress import dam
-from rainsim.bench.water import copy, measure, memory_limit, table
+from benchmarks import cases
+from benchmarks.chart import front
+from benchmarks.peers import SECONDS_AND_ERRORS
+from benchmarks.stress import dam
+from benchmarks.water import copy, measure, memory_limit, table
 from rainsim.errors import ParameterError
 from rainsim.grid import WaterSolver
 
@@ -159,7 +159,7 @@ def test_memory_limit_is_that_of_a_copy(poisoned):
 def test_the_chart_has_plain_ticks_other_codes_and_the_front(monkeypatch, tmp_path):
     """Labels of ticks are apart, the default is marked, and each panel has its peers."""
     pyplot = pytest.importorskip("matplotlib.pyplot")
-    from rainsim.bench import chart, peers, water
+    from benchmarks import chart, peers, water
 
     figures = []
     monkeypatch.setattr(pyplot, "close", figures.append)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rainsim.bench import stress
+from benchmarks import stress
 from rainsim.errors import ParameterError
 from rainsim.grid import WaterSolver
 

@@ -1,13 +1,12 @@
-"""`rainsim bench`: what every suite does with its options; the suites have tests of their own."""
+"""`benchmarks`: what every suite does with its options; the suites have tests of their own."""
 
 import json
 
 import pytest
 from click.testing import CliRunner
 
-from rainsim.bench import chart, day, frame, ground, look, rain, splat, stress, water
-from rainsim.cli import cli
-from rainsim.commands.bench import bench
+from benchmarks import chart, day, frame, ground, look, rain, splat, stress, water
+from benchmarks.__main__ import benchmarks
 from rainsim.errors import RainsimError
 
 
@@ -24,17 +23,17 @@ def test_results_are_printed_and_written(suite, monkeypatch, tmp_path):
     monkeypatch.setattr(suite, "table", lambda result: f"error {result['error']}")
     name = suite.__name__.rpartition(".")[2]
     path = tmp_path / "r.json"
-    done = CliRunner().invoke(cli, ["bench", name, "--quick", "--json", str(path)])
+    done = CliRunner().invoke(benchmarks, [name, "--quick", "--json", str(path)])
     assert done.exit_code == 0 and "error 0.5" in done.stdout and "working" in done.stderr
     assert seen == [True] and json.loads(path.read_text()) == {"error": 0.5}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", bench.commands)
+@pytest.mark.parametrize("name", benchmarks.commands)
 def test_a_quick_run_ends_in_a_table_and_a_chart(name, tmp_path):
     pytest.importorskip("matplotlib")
     files = "--json", str(tmp_path / "r.json"), "--chart", str(tmp_path / "c.png")
-    done = CliRunner().invoke(cli, ["bench", name, "--quick", *files], catch_exceptions=False)
+    done = CliRunner().invoke(benchmarks, [name, "--quick", *files], catch_exceptions=False)
     assert done.exit_code == 0 and done.stdout.strip(), done.stderr
     assert json.loads((tmp_path / "r.json").read_text())
     assert (tmp_path / "c.png").stat().st_size > 1000
@@ -46,5 +45,5 @@ def test_a_chart_without_matplotlib_is_told_before_anything_runs(monkeypatch, tm
 
     monkeypatch.setattr(chart, "require_matplotlib", missing)
     monkeypatch.setattr(water, "run", lambda *a, **k: pytest.fail("ran"))
-    done = CliRunner().invoke(cli, ["bench", "water", "--chart", str(tmp_path / "c.png")])
+    done = CliRunner().invoke(benchmarks, ["water", "--chart", str(tmp_path / "c.png")])
     assert done.exit_code == 1 and "rainsim[chart]" in done.output

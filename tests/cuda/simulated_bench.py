@@ -1,9 +1,9 @@
-"""`rainsim bench frame --backend cuda` in the simulator: one level of a tiny scene."""
+"""`python -m benchmarks frame --backend cuda` in the simulator: one level of a tiny scene."""
 
 import numpy as np
 import pytest
 
-from rainsim.bench import frame, frame_cuda, frame_gsplat, frame_levels, water
+from benchmarks import frame, frame_cuda, frame_gsplat, frame_levels, water
 from rainsim.cuda import simulated
 from rainsim.errors import ParameterError
 from rainsim.render.wet_scene import WetScene

@@ -27,9 +27,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 from guarded import MANAGER, SIMULATED, damaged, spoil_simulated
 
+from benchmarks.frame_levels import cameras_of
 from rainsim import pipeline
 from rainsim.actors.footprint import with_footprints
-from rainsim.bench.frame_levels import cameras_of
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import trouble
 from rainsim.render.renderer import Renderer as OnCpu

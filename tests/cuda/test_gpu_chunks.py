@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from rainsim.bench import lod
+from benchmarks import lod
 from rainsim.config.settings import Config
 from rainsim.lod.paged import rasterizer_of_scene
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rainsim.bench.cases import wavy_lake
+from benchmarks.cases import wavy_lake
 from rainsim.grid import WaterSolver
 
 pytestmark = pytest.mark.gpu

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from test_datasets import plan_with, sample_of, write_set
 
-from rainsim.bench.downstream import measure
+from benchmarks.downstream import measure
 from rainsim.datasets import LAYOUTS, acdc, cityscapes, nerfstudio
 from rainsim.datasets.splits import check_hold_out, held_out, lists_of, split_note, usual_hold_out
 from rainsim.errors import ParameterError

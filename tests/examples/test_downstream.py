@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_examples import load
 
-from rainsim.bench import downstream
+from benchmarks import downstream
 from rainsim.datasets.reading import StoredView, read_views
 from rainsim.errors import ParameterError
 from rainsim.raster import prepare, rasterize

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rainsim.bench.water import solve
+from benchmarks.water import solve
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples/peers"
 NEEDS = {"anuga": "anuga", "landlab": "landlab", "itzi": "itzi", "pyclaw": "clawpack"}

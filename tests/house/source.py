@@ -1,4 +1,4 @@
-"""The package's files as syntax trees, for the tests of this folder."""
+"""The files of rainsim and its benchmarks as syntax trees, for the tests of this folder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PACKAGE = ROOT / "rainsim"
-MODULES = sorted(PACKAGE.rglob("*.py"))
+MODULES = sorted([*PACKAGE.rglob("*.py"), *ROOT.glob("benchmarks/*.py")])
 TEXTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
 # What marks a function that numba compiles, on either backend.
@@ -25,8 +25,8 @@ FORMULAS = {
 
 
 def name_of(path):
-    """Return a file's path below the package."""
-    return path.relative_to(PACKAGE).as_posix()
+    """Return a file's path below the package; of a file beside it, below the checkout."""
+    return path.relative_to(PACKAGE if path.is_relative_to(PACKAGE) else ROOT).as_posix()
 
 
 @functools.cache

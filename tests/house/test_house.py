@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.__main__ import benchmarks
 from rainsim.cli import cli
 from source import nodes, tree
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 EXAMPLES = sorted(ROOT.glob("examples/**/*.py"))
-SOURCES = sorted([*ROOT.glob("rainsim/**/*.py"), *EXAMPLES])
+CODE = *ROOT.glob("rainsim/**/*.py"), *ROOT.glob("benchmarks/*.py")
+SOURCES = sorted([*CODE, *EXAMPLES])
 TEXTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 LONGEST_FILE = 500
@@ -68,10 +70,14 @@ def test_texts_name_no_machine(path):
     assert not re.search(r"(?<![\w.])/(work|tmp|home|root|opt)/|TODO|FIXME|XXX", text)
 
 
-@pytest.mark.parametrize("name", list(cli.commands))
+COMMANDS = {f"rainsim {name}": command for name, command in cli.commands.items()}
+COMMANDS |= {f"python -m benchmarks {n}": command for n, command in benchmarks.commands.items()}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_is_documented(name):
-    command = cli.commands[name]
-    assert f"`rainsim {name}" in README
+    command = COMMANDS[name]
+    assert f"`{name}" in README
     assert command.help and "Example:" in command.help
     for option in command.params:
         assert option.param_type_name == "argument" or option.help, option.name
@@ -84,7 +90,7 @@ def test_every_command_named_in_the_readme_exists():
 
 
 def test_every_option_named_in_the_readme_exists():
-    known = {name for c in cli.commands.values() for p in c.params for name in p.opts}
+    known = {name for c in COMMANDS.values() for p in c.params for name in p.opts}
     known |= {"--help", "--dist"}  # the latter of pytest
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README))
     assert named and named <= known, named - known

@@ -44,7 +44,6 @@ farm
 sensors
 datasets
 view
-bench
 commands
 cli
 __main__
@@ -201,6 +200,10 @@ def test_only_the_command_line_imports_click():
 def test_nothing_but_the_entry_imports_the_command_line():
     users = _users("rainsim.cli") | _users("rainsim.commands")
     assert users - _in_cli(users) == {"__main__.py"}
+
+
+def test_the_package_needs_no_benchmarks():
+    assert not _users("benchmarks")
 
 
 def test_progress_bars_belong_to_the_command_line():

@@ -9,8 +9,9 @@ import functools
 import re
 import sys
 from collections import defaultdict
+from pathlib import Path
 
-from source import MODULES, PACKAGE, ROOT, TEXTS, functions_in, nodes, prose, text, tree
+from source import MODULES, PACKAGE, ROOT, TEXTS, functions_in, name_of, nodes, prose, text, tree
 
 REFERENCE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 TESTS = sorted(ROOT.glob("tests/**/*.py"))
@@ -20,14 +21,15 @@ NAME = re.compile(r"\.?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*(\([\w, ]*\))?")  # of a thi
 DATA = {"bin", "exr", "hdr", "jpg", "json", "npy", "npz", "ply", "png", "sog", "splat", "spz",
         "tif", "tiff", "toml", "txt", "webp", "webm", "mov", "mp4", "ksplat", "csv", "xml",
         "cfg", "usd", "usda", "usdc", "usdz", "glb", "gltf", "blend"}  # fmt: skip
+OURS = "rainsim", "benchmarks"
 ELSEWHERE = {"numpy", "np", "numba", "scipy", "click", *sys.stdlib_module_names}
 # Words of file formats and of other programs, named in texts only.
-WORDS_OF_OTHERS = {"ruff", "pytest", "_out", "rainsim.bench.NAME"}
+WORDS_OF_OTHERS = {"ruff", "pytest", "_out", "benchmarks.NAME"}
 
 
 def module_of(path):
     """Return a file's name below the package, with dots; the package's own is empty."""
-    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    parts = Path(name_of(path)).with_suffix("").parts
     return ".".join(part for part in parts if part != "__init__")
 
 
@@ -97,7 +99,7 @@ def everywhere():
     for path in [*PACKAGE.rglob("*.toml"), ROOT / "setup.cfg", ROOT / ".ci/run"]:
         found |= set(WORD.findall(text(path)))
     for path in MODULES:
-        found |= set(path.relative_to(PACKAGE).with_suffix("").parts)
+        found |= set(Path(name_of(path)).with_suffix("").parts)
     for path in TESTS:
         found |= {name for name, _ in functions_in(path)}
     return found
@@ -188,9 +190,10 @@ def test_tests_and_examples_take_names_that_exist():
     for path in [*TESTS, *ROOT.glob("examples/*.py")]:
         modules = {}
         for node in nodes(path):
-            if not (isinstance(node, ast.ImportFrom) and node.module.startswith("rainsim")):
+            if not (isinstance(node, ast.ImportFrom) and node.module.startswith(OURS)):
                 continue
-            parts = node.module.split(".")[1:]
+            parts = node.module.removeprefix("rainsim").strip(".").split(".")
+            parts = [part for part in parts if part]
             for alias in node.names:
                 if not in_a_module([*parts, alias.name], ""):
                     found.append(f"{path.relative_to(ROOT)}: {node.module}.{alias.name}")

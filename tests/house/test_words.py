@@ -6,7 +6,7 @@ A sentence names its subject and its object; `that`, `those` and `it` have their
 import ast
 import re
 
-from source import MODULES, PACKAGE, ROOT, TEXTS, functions_in, nodes, prose
+from source import MODULES, ROOT, TEXTS, functions_in, name_of, nodes, prose
 
 # A pattern, and what to write instead.
 BANNED = {
@@ -64,7 +64,7 @@ def test_no_words_that_make_a_reader_guess():
 
 def test_names_of_functions_are_no_riddles():
     found = [
-        f"{path.relative_to(PACKAGE).as_posix()} {name}"
+        f"{name_of(path)} {name}"
         for path in MODULES
         for name, _ in functions_in(path)
         if name.strip("_") in RIDDLES  # a method says whose it is: `Splats.take`

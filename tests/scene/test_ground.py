@@ -11,9 +11,9 @@ import time
 import numpy as np
 import pytest
 
+from benchmarks import captures
+from benchmarks import ground as suite
 from made_captures import patio, ring, splats_at
-from rainsim.bench import captures
-from rainsim.bench import ground as suite
 from rainsim.errors import GroundError, InputError, ParameterError
 from rainsim.scene.cameras import look_at, read_cameras
 from rainsim.scene.ground import (

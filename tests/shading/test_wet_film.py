@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rainsim.bench.film import film_accuracy, film_line
+from benchmarks.film import film_accuracy, film_line
 from rainsim.config.settings import Config
 from rainsim.numerics.ripmap import ripmap
 from rainsim.pipeline import extract_terrain, simulate

@@ -8,6 +8,7 @@ import click
 import pytest
 
 import rainsim
+from benchmarks.__main__ import benchmarks
 from rainsim.cli import cli
 from rainsim.commands.variables import VARIABLES
 from rainsim.config.preset_files import HUMAN_KEYS, preset_names
@@ -63,7 +64,7 @@ def test_places_for_the_code_are_known(path, from_code):
 
 def parsed(words):
     """Parse a command's words as the command line does, up to the files that must exist."""
-    group, names = cli, list(words[1:])
+    group, names = {"rainsim": cli, "benchmarks": benchmarks}[words[0]], list(words[1:])
     while isinstance(group, click.Group):
         assert names and names[0] in group.commands, f"no command {names[:1]}"
         group = group.commands[names.pop(0)]
@@ -88,9 +89,11 @@ def test_commands_can_be_typed(path):
 
 def test_a_wrong_command_is_found():
     parsed(["rainsim", "run", "--frames", "3"])
-    for wrong in ("rainsim rain", "rainsim run --raine 3", "rainsim run --frames three"):
+    parsed(["benchmarks", "water", "--quick"])
+    wrong = "rainsim rain", "rainsim run --raine 3", "rainsim run --frames three"
+    for words in (*wrong, "rainsim water", "benchmarks run", "benchmarks water --slow"):
         with pytest.raises(AssertionError):
-            parsed(wrong.split())
+            parsed(words.split())
 
 
 def test_every_command_and_option_is_documented(from_code):
@@ -148,7 +151,7 @@ def test_every_picture_stands_near_its_command(path):
         if match[1].endswith(".svg"):
             continue  # drawn by hand: no command makes it
         near = text[max(0, match.start() - 1200) : match.end() + 700]
-        by = r"rainsim (bench|run|view|heightmap|export|validate) |rainsim (bench|view)"
+        by = r"rainsim (run|view|heightmap|export) |rainsim view|python -m benchmarks "
         by += r"|python examples/"
         assert re.search(rf"{by}|gallery\.md", near), match[1]
 

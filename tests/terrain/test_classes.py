@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks import captures
+from benchmarks import ground as suite
 from rainsim import terrain
-from rainsim.bench import captures
-from rainsim.bench import ground as suite
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import images

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks import captures
 from rainsim import terrain
-from rainsim.bench import captures
 from rainsim.config.settings import TerrainConfig
 from rainsim.scene.types import Splats
 from rainsim.terrain import pond

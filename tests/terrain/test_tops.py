@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.look import light_up
 from factories import off_ground
 from made_rain import centres, config, ground, states
 from rainsim import terrain as terrains
-from rainsim.bench.look import light_up
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
 from rainsim.io.states import read_state, write_state

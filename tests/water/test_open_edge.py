@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rainsim.bench import hydraulic_cases, hydraulics
+from benchmarks import hydraulic_cases, hydraulics
 from rainsim.grid import WaterSolver
 from rainsim.water.conserving import depth_into_edge_cell, fill_edge_flux, speed_out
 
