@@ -15,6 +15,7 @@ from skimage.morphology import remove_small_objects
 from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
 from rainsim.lod.held_parts import scene_over
+from rainsim.scene.ground import STRAY
 from rainsim.scene.types import Camera, pose_at
 from rainsim.surface.kept_surface import kept_surface
 from rainsim.surface.sweep import ground_sweep
@@ -395,8 +396,10 @@ def _start_radius(scene, grid):
 def _ceiling(scene):
     if not scene.cameras:
         return CEILING_WITHOUT_CAMERAS
-    heights = [scene.ground_frame.to_ground(c.position)[2] for c in scene.cameras]
-    return max(heights) + CEILING_OVER_CAMERAS
+    heights = np.array([scene.ground_frame.to_ground(c.position)[2] for c in scene.cameras])
+    # A camera that stands many times as high as usual is misplaced.
+    usual = heights[heights <= STRAY * max(float(np.median(heights)), 0.0)]
+    return float(usual.max(initial=0.0)) + CEILING_OVER_CAMERAS
 
 
 def _floaters(cloud, seen, grid):
