@@ -17,6 +17,7 @@ LEVEL_ANGLE = math.radians(3)  # from the cameras' level; three of its deviation
 # A plane of splats of this confidence is taken as it is; a poorer one, unless the plane that is
 # level by the cameras has so many times its share of places with ground.
 SURE_PLANE, CLEARLY = 0.5, 1.25
+TOO_POOR = "the ground is too poor to be found"  # begins the note on a plane that was not found
 MOST_NAMED = 4  # misplaced cameras in a note
 LEAST_IMAGE_UP = 0.3  # mean of unit vectors; shorter means that the cameras do not agree
 
@@ -106,10 +107,7 @@ def ground_below(splats, cameras, up, seed):
     if own is None and best.sigmas < SURE:
         if up is None:
             raise _no_ground_below(best)
-        notes.append(
-            f"the ground is too poor to be found: the plane {best.height:.3g} units below the "
-            "cameras is taken"
-        )
+        notes.append(f"{TOO_POOR}: the plane {best.height:.3g} units below the cameras is taken")
     return _level_plane(hint, eyes[placed], best), None, placed, notes
 
 

@@ -74,7 +74,7 @@ def write_terrain(folder, terrain):
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, *_LATER)}
-    arrays = {name: values for name, values in arrays.items() if values is not None}
+    arrays = {name: values for name, values in arrays.items() if np.size(values) > 1}
     arrays |= {_TOPS + name: values for name, values in terrain.tops.arrays().items()}
     grid = terrain.grid
     arrays |= {

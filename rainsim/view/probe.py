@@ -11,6 +11,7 @@ from rainsim.scene.assumed_ground import levelled_frame
 from rainsim.scene.cameras import cropped
 from rainsim.scene.folder import in_ground_frame, override_ground_frame
 from rainsim.scene.ground import scale_from_length
+from rainsim.scene.ground_search import TOO_POOR
 from rainsim.scene.painted import PaintedClasses
 from rainsim.scene.view import rays
 from rainsim.terrain.table import class_table
@@ -163,11 +164,14 @@ def with_up(scene, up, point):
         On the ground, in the ground frame.
     """
     try:
-        return override_ground_frame(scene, up=up), True
+        found = override_ground_frame(scene, up=up)
+        if not any(note.startswith(TOO_POOR) for note in found.ground_frame.notes):
+            return found, True
     except GroundError:
-        frame = scene.ground_frame
-        levelled = levelled_frame(frame, up, frame.to_capture(point))
-        return in_ground_frame(scene, levelled), False
+        pass
+    frame = scene.ground_frame
+    levelled = levelled_frame(frame, up, frame.to_capture(point))
+    return in_ground_frame(scene, levelled), False
 
 
 def painted(mask, terrain, point, radius, code):

