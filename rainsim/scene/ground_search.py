@@ -17,6 +17,9 @@ LEVEL_ANGLE = math.radians(3)  # from the cameras' level; three of its deviation
 # A plane of splats of this confidence is taken as it is; a poorer one, unless the plane that is
 # level by the cameras has so many times its share of places with ground.
 SURE_PLANE, CLEARLY = 0.5, 1.25
+# Support from which on ground that is not found is taken below cameras whose level is so sure.
+HINTED, SURE_LEVEL = 1.0, math.radians(2)
+LOOKS_IN = 0.5  # mean cosine of views to the cameras' middle, from which on they look at a thing
 TOO_POOR = "the ground is too poor to be found"  # begins the note on a plane that was not found
 MOST_NAMED = 4  # misplaced cameras in a note
 LEAST_IMAGE_UP = 0.3  # mean of unit vectors; shorter means that the cameras do not agree
@@ -105,7 +108,8 @@ def ground_below(splats, cameras, up, seed):
     if own is not None and best.share <= CLEARLY * own.share:
         return plane, centre, placed, notes
     if own is None and best.sigmas < SURE:
-        if up is None:
+        hinted = best.sigmas > HINTED and level is not None and level.deviation < SURE_LEVEL
+        if up is None and not (hinted and _looks_around(cameras)):
             raise _no_ground_below(best)
         notes.append(f"{TOO_POOR}: the plane {best.height:.3g} units below the cameras is taken")
     return _level_plane(hint, eyes[placed], best), None, placed, notes
@@ -134,6 +138,15 @@ def mean_image_up(cameras):
     mean = np.mean([camera.image_up for camera in cameras], axis=0)
     length = np.linalg.norm(mean)
     return None if length < LEAST_IMAGE_UP else mean / length
+
+
+def _looks_around(cameras):
+    """Tell whether cameras look ahead or outwards, as on a walk, and not at a thing from around."""
+    eyes = np.array([camera.position for camera in cameras])
+    inwards = np.median(eyes, axis=0) - eyes
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
+    ahead = np.array([camera.forward for camera in cameras])
+    return float(np.mean(np.sum(inwards * ahead, axis=1))) < LOOKS_IN
 
 
 def _level_plane(up, eyes, support):

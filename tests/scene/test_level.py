@@ -102,6 +102,14 @@ def test_the_height_of_a_path_over_ground_that_is_hidden_in_veils():
     assert empty.best(5.0).sigmas < 1  # nothing lies below
 
 
+def test_where_a_walk_shows_no_ground_the_plane_below_it_is_taken_and_said():
+    rng = np.random.default_rng(5)
+    cameras = walk()
+    veils = [c.position + rng.uniform((0.5, -1.5, -2.5), (4, 1.5, 1), (300, 3)) for c in cameras]
+    found = estimate_ground_frame(splats_at(np.concatenate(veils)), cameras, camera_height=1.6)
+    assert degrees_off(found.up) < 1
+
+
 def test_a_capture_in_veils_stands_on_the_ground_below_its_cameras():
     cameras = walk()
     found = estimate_ground_frame(splats_at(veiled(cameras)), cameras, camera_height=1.6)
