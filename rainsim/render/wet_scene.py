@@ -32,7 +32,6 @@ from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import SkyMaps
 from rainsim.simulation import usual_wind
 from rainsim.surface.kept_surface import kept_surface, splat_normals
-from rainsim.terrain.assumed_bed import shows_ground
 
 BRIGHT_SKY = 0.15  # mean linear light above which splats of the sky show it
 
@@ -93,12 +92,8 @@ class WetScene:
         if leave_out:
             self.scene, told = without_shreds(self.scene, bad)
             self.notes += told
-        # Sheets that show poor ground would stand before what water mirrors.
-        bad = bad | shows_ground(terrain, self.frame.to_ground(self.scene.splats.position))
         if bad.any():
-            self.notes.append(
-                f"mirrors leave out {bad.sum()} splats that few saw or that show poor ground"
-            )
+            self.notes.append(f"mirrors leave out {bad.sum()} splats that hardly any camera saw")
         reach = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
         self.ground = WetGround(terrain, reach)
         self._relit, self._sky_is_left_out = gain is not None, backdrop.count > 0

@@ -396,14 +396,3 @@ def _normal(row, column, seed):
     # The sum of four uniform numbers of 16 bits is nearly normal.
     parts = sum(((h >> np.uint64(16 * k)) & np.uint64(0xFFFF)).astype(np.float32) for k in range(4))
     return (parts / np.float32(65536) - np.float32(2)) * np.float32(3**0.5)
-
-
-def shows_ground(terrain, position):
-    """Return which places (n, 3) [m] lie in the layer of splats of poor ground, bool (n,)."""
-    if not terrain.layer.size:
-        return np.zeros(len(position), bool)
-    with np.errstate(invalid="ignore"):
-        finite = np.isfinite(position).all(axis=1)
-    row, column, _ = terrain.grid.cells(*np.where(finite[:, None], position, 0)[:, :2].T)
-    above = position[:, 2] - terrain.bed[row, column]
-    return finite & (above < terrain.layer[row, column])
