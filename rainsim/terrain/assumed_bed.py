@@ -24,6 +24,7 @@ CARRIED = 4.0  # m over the ground: higher cameras fly
 SMOOTH = 3.0  # m, standard deviation of the smoothing of a level that is seen from the air
 ALONG = 5.0  # of the cameras' height: how far along a path its cameras tell the ground's height
 FEWEST, SLOW = 6, 0.5  # cameras of a path; share of their rise that may differ from one to the next
+AT_ONCE = 8192  # places, for memory
 # How far from the bed splats lie that show it, in times their scatter: near things, and elsewhere;
 # where cameras went, in their heights.
 NEAR, LAYER, WENT = 1.0, 2.5, 0.5
@@ -159,11 +160,16 @@ def level_below(eyes):
     rise = eyes[:, 2] - eyes[:, 2].mean() if len(eyes) else eyes[:, 2]
 
     def mean(x, y, but_self=0.0):
-        square = (np.ravel(x)[:, None] - eyes[:, 0]) ** 2 + (np.ravel(y)[:, None] - eyes[:, 1]) ** 2
-        square = square / (2 * (ALONG * usual) ** 2)
-        weight = np.exp(square.min(axis=1, keepdims=True) - square)
-        weight[square == 0] *= 1 - but_self
-        return weight @ rise / np.maximum(weight.sum(axis=1), 1e-12)
+        x, y = np.ravel(x), np.ravel(y)
+        found = np.empty(len(x))
+        for first in range(0, len(x), AT_ONCE):
+            part = slice(first, first + AT_ONCE)
+            square = (x[part, None] - eyes[:, 0]) ** 2 + (y[part, None] - eyes[:, 1]) ** 2
+            square /= 2 * (ALONG * usual) ** 2
+            weight = np.exp(square.min(axis=1, keepdims=True) - square)
+            weight[square == 0] *= 1 - but_self
+            found[part] = weight @ rise / np.maximum(weight.sum(axis=1), 1e-12)
+        return found
 
     if len(eyes) >= FEWEST and usual > 0:
         left = rise - mean(eyes[:, 0], eyes[:, 1], 1.0)
