@@ -51,11 +51,14 @@ class WetGround:
         None until `wet` is called; another one whenever the map changes.
     bodies : BodyMap or None
         None until `stand` is called.
+    thickest_layer : float32 [m]
+        Thickness of the splats about a poorly known bed, at most; 0 elsewhere.
     """
 
     def __init__(self, terrain, reach):
         self.terrain, self.reach, self.grass = terrain, reach, blurred_grass(terrain)
         self.tracked = self.bodies = None
+        self.thickest_layer = terrain.layer.max(initial=np.float32(0))
         self._tracks, self._copies = NO_TRACKS, []
 
     def stand(self, actors):
@@ -103,11 +106,6 @@ class WetGround:
         return GroundMaps(
             self.terrain.bed, self.map, *place, self.bodies.now, layer, self.thickest_layer
         )
-
-    @property
-    def thickest_layer(self):
-        """Thickness of the splats about a poorly known bed, at most [m], float32; 0 elsewhere."""
-        return self.terrain.layer.max(initial=np.float32(0))
 
 
 def blurred_grass(terrain):

@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.errors import GroundError
-from rainsim.scene.level import CHANCE, FULL_SIGMAS, MISPLACED, SURE, GroundBelow, level_of
+from rainsim.scene.level import (
+    CHANCE,
+    FULL_SIGMAS,
+    MISPLACED,
+    SURE,
+    GroundBelow,
+    level_of,
+    weighted_median,
+)
 from rainsim.scene.plane import ROUGHER, THRESHOLD, Plane, find_plane, upright_planes
 
 UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that the user gives
@@ -174,7 +182,7 @@ def search_ground(splats, eyes, up, max_angle, seed, up_given, ambiguous=False):
     may be `ambiguous`, else that is an error.
     """
     points, weights = ground_candidates(splats)
-    centre = eyes.mean(axis=0) if len(eyes) else _weighted_median(points, weights)
+    centre = eyes.mean(axis=0) if len(eyes) else weighted_median(points, weights)
     distance = np.linalg.norm(points - centre, axis=1)
     radius = np.linalg.norm(eyes - centre, axis=1).max(initial=0.0)
     start, farthest = np.quantile(distance, [START_SHARE, 0.95])
@@ -201,7 +209,7 @@ def search_ground(splats, eyes, up, max_angle, seed, up_given, ambiguous=False):
                 ):  # a wider search would find a plane between the two
                     raise _two_grounds(plane)
                 on_it = np.abs(plane.height(here)) < 2 * thickness * radius
-                return plane, _weighted_median(here[on_it], weight[on_it])
+                return plane, weighted_median(here[on_it], weight[on_it])
             if best is None or plane.confidence > best.confidence:
                 best = plane
     raise _not_found(best)
@@ -238,16 +246,6 @@ def ground_candidates(splats):
     weight = splats.opacity[solid] * (np.minimum(area, cap) if cap > 0 else 1.0)
     fine = weight > 0
     return splats.position[solid][fine].astype(np.float64), weight[fine].astype(np.float64)
-
-
-def _weighted_median(points, weights):
-    """Return the weighted median of each coordinate, ndarray of shape (3,)."""
-    median = np.empty(3)
-    for axis in range(3):
-        order = np.argsort(points[:, axis])
-        total = np.cumsum(weights[order])
-        median[axis] = points[order[np.searchsorted(total, total[-1] / 2)], axis]
-    return median
 
 
 def _not_found(best):

@@ -101,7 +101,7 @@ def _fitted(axes, eyes, reach, first, walls):
     # A street's fall is one for all cameras: where walls tell, their path counts as one.
     once = np.sqrt(len(eyes)) if len(walls) else 1.0
     for _ in range(ROUNDS):
-        away = eyes - _median(eyes, weight)
+        away = eyes - weighted_median(eyes, weight)
         usual = max(float(np.median(np.linalg.norm(away, axis=1))), 1e-12)
         away *= (usual > LEAST_PATH * reach) / usual
         rows = np.concatenate([hand / roll, away / (climb * once)])
@@ -119,7 +119,8 @@ def _fitted(axes, eyes, reach, first, walls):
     return Level(up, 1 / np.sqrt(max(np.linalg.eigvalsh(told)[0], 1.0)), weight)
 
 
-def _median(values, weight):
+def weighted_median(values, weight):
+    """Return the weighted median of each coordinate of values (n, 3), ndarray of shape (3,)."""
     order = np.argsort(values, axis=0)
     total = np.cumsum(weight[order], axis=0)
     row = (total < total[-1] / 2).sum(axis=0)
