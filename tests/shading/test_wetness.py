@@ -12,6 +12,7 @@ from rainsim.shading import wetness
 from rainsim.simulation import initial_water
 from rainsim.terrain import extract_terrain
 from rainsim.terrain.table import GRASS, HARD, SOIL, class_table
+from rainsim.terrain.types import NO_LAYER
 from rainsim.water.puddles import puddles_of
 from scenes import tiny_scene
 
@@ -114,7 +115,8 @@ def test_tracks_of_each_time_lie_on_the_untouched_map_and_the_last_map_stays(mon
     untouched = rng.random((9, 5, 4)).astype(np.float32)
     before, film = untouched.copy(), wetness.Wetness._fields.index("film")
     monkeypatch.setattr(wetness, "ground_wetness", lambda *_: untouched)
-    ground = WetGround(SimpleNamespace(grassy=np.zeros((9, 5), bool)), None)
+    terrain = SimpleNamespace(grassy=np.zeros((9, 5), bool), layer=NO_LAYER)
+    ground = WetGround(terrain, None)
     ground.wet(None)
     assert ground.map is untouched
     last = None
