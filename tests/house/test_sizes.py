@@ -1,8 +1,11 @@
-"""Sizes of functions: how many arguments they take, and how long they are."""
+"""Sizes: arguments and lines of functions, lines of rooms."""
 
+import json
 import re
 
-from source import MODULES, arguments_of, functions_in, length_of, name_of, text
+import pytest
+from counts import lines_of
+from source import MODULES, PACKAGE, ROOT, arguments_of, functions_in, length_of, name_of, text
 
 MOST_ARGUMENTS = 20
 LONGEST = 80  # lines; a reason for more stands as `# long: reason` beside or above the def
@@ -40,3 +43,25 @@ def test_the_walk_sees_methods_and_functions_within():
     assert "Config.replace" in found  # a method
     assert any("." in name and name.split(".")[0].islower() for name in found)
     assert len(found) > 1000
+
+
+ROOMS = json.loads((ROOT / "tests/house/room_lines.json").read_text(encoding="utf-8"))
+SLACK = 60  # lines that a budget may stand above its room
+
+
+def lines_of_rooms():
+    """Return the lines of each folder of the package, and of the files beside them as "."."""
+    rooms = {p.name: lines_of(p) for p in PACKAGE.iterdir() if any(p.rglob("*.py"))}
+    files = PACKAGE.glob("*.py")
+    return {**rooms, ".": sum(len(p.read_text(encoding="utf-8").splitlines()) for p in files)}
+
+
+@pytest.mark.parametrize("room", sorted(ROOMS))
+def test_a_room_keeps_its_budget_of_lines_and_the_budget_falls_with_the_room(room):
+    lines, budget = lines_of_rooms().get(room, 0), ROOMS[room]
+    assert lines <= budget, f"{room}: {lines} lines, its budget in room_lines.json is {budget}"
+    assert lines >= budget - SLACK, f"{room}: {lines} lines, lower its budget of {budget} to that"
+
+
+def test_each_room_has_a_budget():
+    assert set(lines_of_rooms()) == set(ROOMS)
