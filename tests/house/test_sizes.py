@@ -5,6 +5,7 @@ import re
 
 import pytest
 from counts import lines_of
+
 from source import MODULES, PACKAGE, ROOT, arguments_of, functions_in, length_of, name_of, text
 
 MOST_ARGUMENTS = 20
