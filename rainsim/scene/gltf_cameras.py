@@ -16,10 +16,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from rainsim.errors import InputError, shown
 from rainsim.io.files import json_number, read_json, require_file
-from rainsim.scene.formats.gltf import Model, node_chains, opened, place_of, values_of
+from rainsim.scene.formats.gltf import Model, mapped, node_chains, opened, place_of, values_of
 from rainsim.scene.shot_camera import SHAPE, Lens, World, camera_at, frame_times, require_chosen
 
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+COPY = "copy it there, or export a .glb"
+MOST_KEYS = 1 << 20  # of all that moves a camera; an hour at 60 frames a second has 216,000
 MAGIC = b"glTF"
 
 
@@ -68,17 +70,30 @@ def _opened(path):
     uri = buffer.pop("uri", None)
     if not isinstance(uri, str):
         raise model.wrong("its buffer has no uri")
+    if not uri.startswith("data:"):
+        return Model(path, model.data, _beside(path, unquote(uri)))
     try:
-        if uri.startswith("data:"):
-            data = base64.b64decode(uri.partition(",")[2], validate=True)
-        else:
-            data = (path.parent / unquote(uri)).read_bytes()
-    except (OSError, ValueError, binascii.Error):
-        raise InputError(
-            f"{path}: its data {shown(uri[:80])} cannot be read; the file must lie beside it; copy "
-            "it there, or export a .glb"
-        ) from None
+        data = base64.b64decode(uri.partition(",")[2], validate=True)
+    except (ValueError, binascii.Error):
+        raise model.wrong(f"its data {shown(uri[:80])} are no base64") from None
     return Model(path, model.data, memoryview(data))
+
+
+def _beside(path, name):
+    """Return the bytes of a file that a glTF names; it must lie in its folder or below that.
+
+    A capture comes from a stranger, and a name may lead to any file of the machine.
+    """
+    try:
+        file = path.parent / name
+        if file.resolve().is_relative_to(path.parent.resolve()):
+            return mapped(require_file(file, "the data of a glTF", COPY))
+    except (OSError, ValueError):  # ValueError: a zero byte
+        pass
+    raise InputError(
+        f"{path}: its data {shown(name[:80])} cannot be read; the file must lie beside it or in a "
+        f"folder below; {COPY}"
+    )
 
 
 def _name(model, number):
@@ -112,8 +127,10 @@ def _moved(model, chain):
             key = target.get("path") if isinstance(target, dict) else None
             if key not in WIDTHS or target.get("node") not in chain:
                 continue
+            if key in found.get(target["node"], {}):
+                continue
             track = _track(model, inside.item("samplers", channel.get("sampler")), WIDTHS[key])
-            found.setdefault(target["node"], {}).setdefault(key, track)
+            found.setdefault(target["node"], {})[key] = track
     return found
 
 
@@ -122,7 +139,7 @@ def _track(model, sampler, width):
     if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
         raise model.wrong(f"an animation has the interpolation {shown(kind)}")
     accessor = model.item("accessors", sampler.get("input"))
-    count = model.whole(accessor, "count", None, 1 << 24)
+    count = model.whole(accessor, "count", None, MOST_KEYS)
     times = values_of(model, sampler.get("input"), count, 1)[:, 0].astype(np.float64)
     if not count or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
         raise model.wrong("times of an animation must rise")

@@ -1,5 +1,7 @@
 """Splats in binary glTF: values, nodes, quantized numbers, and what is refused."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -89,6 +91,24 @@ def test_whole_numbers_are_shares_of_the_largest(tmp_path):
     assert np.abs(np.einsum("ni,ni->n", found.rotation, plain.rotation)).min() > 0.9999
 
 
+def test_scales_of_early_drafts_are_logarithms(tmp_path):
+    plain = reading(tmp_path, made.glb(SPLATS)).splats
+    early = dataclasses.replace(SPLATS, scale=np.log(SPLATS.scale))
+    assert (early.scale < 0).any()
+    found = reading(tmp_path, made.glb(early))
+    assert found.broken == 0 and any("logarithms" in note for note in found.notes)
+    np.testing.assert_allclose(found.splats.scale, plain.scale, rtol=1e-5)
+
+
+def test_attributes_that_share_bytes_cannot_promise_more_than_the_file_holds(tmp_path):
+    few = made.tame_splats(1 << 14, 1)
+    nodes = [{"children": list(range(1, 41))}, *({"mesh": 0} for _ in range(40))]
+    with pytest.raises(InputError, match="promises"):
+        reading(tmp_path, made.glb(few, nodes))
+    nodes = [{"children": [1, 2]}, *({"mesh": 0} for _ in range(2))]
+    assert len(reading(tmp_path, made.glb(few, nodes)).splats) == 2 * len(few)
+
+
 def test_other_ways_of_drawing_are_noted(tmp_path):
     found = reading(tmp_path, made.glb(SPLATS, about={"sortingMethod": "byHand", "kernel": "box"}))
     assert len(found.notes) == 2 and "box" in found.notes[0] and "byHand" in found.notes[1]
@@ -113,7 +133,7 @@ REFUSED = {
     "mirrored": ({"nodes": [{"mesh": 0, "scale": [-1, 1, 1]}]}, "mirrors"),
     "flat": ({"nodes": [{"mesh": 0, "scale": [0, 1, 1]}]}, "scales by"),
     "a ring": ({"nodes": [{"children": [1]}, {"children": [0]}]}, "reached twice"),
-    "cut views": ({"more": {"bufferViews": [{"buffer": 0}]}}, "bufferViews has no 4"),
+    "cut views": ({"more": {"bufferViews": [{"buffer": 0}]}}, "bufferViews has no"),
     "another file": ({"more": {"buffers": [{"uri": "../a.bin"}]}}, "another file"),
 }
 

@@ -3,6 +3,7 @@
 import base64
 import importlib.util
 import json
+import os
 import struct
 import sys
 from pathlib import Path
@@ -192,8 +193,13 @@ def changed(path, change):
         (lambda t: t["cameras"][0]["perspective"].update(yfov=0), "the angle must be above 0"),
         (lambda t: t["nodes"][0].update(scale=[0, 1, 1]), "scales above 0"),
         (lambda t: t["nodes"][0].update(scale=[-1, 1, 1]), "without scale or mirroring"),
-        (lambda t: t["buffers"][0].update(uri="gone.bin"), "the file must lie beside it"),
-        (lambda t: t["buffers"][0].update(uri="data:,@"), "cannot be read"),
+        (
+            lambda t: t["buffers"][0].update(uri="gone.bin"),
+            "the data of a glTF must be a file",
+        ),
+        (lambda t: t["buffers"][0].update(uri="data:,@"), "no base64"),
+        (lambda t: t["buffers"][0].update(uri="/dev/zero"), "or in a folder below"),
+        (lambda t: t["buffers"][0].update(uri="../b.bin"), "or in a folder below"),
         (lambda t: t["accessors"][0].update(count=9999), "ends behind the file's"),
         (lambda t: t.pop("asset"), "is no glTF"),
         (lambda t: t["animations"][0]["samplers"][0].update(input=1), "must have 1 parts"),
@@ -205,6 +211,33 @@ def test_broken_gltf_ends_in_one_line(tmp_path, change, message):
     with pytest.raises(RainsimError, match=message) as error:
         read_shot(changed(path, change))
     assert "\n" not in str(error.value)
+
+
+def test_data_of_a_gltf_lie_in_its_folder_or_below_and_in_a_regular_file(tmp_path):
+    (tmp_path / "in" / "parts").mkdir(parents=True)
+    path = tmp_path / "in" / "a.gltf"
+    gltf(path)
+    tree = json.loads(path.read_text())
+    data = base64.b64decode(tree["buffers"][0]["uri"].partition(",")[2])
+    expected = read_shot(path).cameras
+    for name in ("parts/b.bin", "../b.bin"):
+        (path.parent / name).write_bytes(data)
+        tree["buffers"][0]["uri"] = name
+        path.write_text(json.dumps(tree))
+        if name.startswith(".."):
+            with pytest.raises(InputError, match="or in a folder below"):
+                read_shot(path)
+        else:
+            assert [c.position.tolist() for c in read_shot(path).cameras] == [
+                c.position.tolist() for c in expected
+            ]
+    (path.parent / "b.bin").symlink_to(tmp_path / "b.bin")
+    os.mkfifo(path.parent / "pipe.bin")
+    for name, message in (("b.bin", "in a folder below"), ("pipe.bin", "a pipe or a device")):
+        tree["buffers"][0]["uri"] = name
+        path.write_text(json.dumps(tree))
+        with pytest.raises(InputError, match=message):
+            read_shot(path)
 
 
 @pytest.mark.parametrize("suffix", [".gltf", ".glb"])

@@ -8,6 +8,8 @@ Names, types and formulas are those of the extension's specification (Khronos Gr
 from __future__ import annotations
 
 import json
+import mmap
+import os
 import struct
 from dataclasses import dataclass
 
@@ -16,7 +18,13 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.errors import InputError, shown
 from rainsim.io.files import MAX_LENGTH, number_array
-from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
+from rainsim.scene.activate import (
+    MAX_BROKEN_SHARE,
+    activate,
+    dropped_note,
+    keep_good,
+    require_believable,
+)
 from rainsim.scene.harmonics import turned
 from rainsim.scene.splat_sets import joined
 
@@ -96,17 +104,23 @@ def read_glb(path, max_broken):
             f"{path} is a glTF without splats; a primitive must have {EXTENSION}; "
             "export the capture as splats"
         )
-    total = sum(_count(model, primitive) for primitive, _ in parts)
+    # Each value takes a byte at least, unless attributes share bytes.
+    total = sum(_count(model, primitive) * len(primitive["attributes"]) for primitive, _ in parts)
     require_believable(path, total, len(model.binary))
     notes = _notes(model, parts, others)
-    read, good = zip(*(_read(model, *part) for part in parts), strict=True)
+    logarithms = _has_logarithms(model, parts)
+    if logarithms:
+        notes.append(
+            f"scales below 0 are logarithms, as in drafts of {EXTENSION} before April 2026"
+        )
+    read, good = zip(*(_read(model, *part, logarithms) for part in parts), strict=True)
     splats, broken = keep_good(path, joined(read), np.concatenate(good), max_broken)
     return splats, [*notes, *dropped_note(broken, len(splats))], broken
 
 
 def opened(path):
     """Return the `Model` of a binary file."""
-    data = memoryview(path.read_bytes())
+    data = mapped(path)
     if len(data) < HEADER.size + CHUNK.size:
         raise InputError(f"{path} ends within its header; {REMEDY}")
     _, version, length = HEADER.unpack_from(data)
@@ -134,6 +148,14 @@ def opened(path):
     if not isinstance(tree, dict):
         raise InputError(f"{path} has JSON that is no object; {REMEDY}")
     return Model(path, tree, chunks.get(b"BIN\0", memoryview(b"")))
+
+
+def mapped(path):
+    """Return the bytes of a file as a memoryview; a page is read when it is looked at."""
+    with open(path, "rb") as file:
+        if not os.fstat(file.fileno()).st_size:
+            return memoryview(b"")
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 # --- nodes ----------------------------------------------------------------------------------------
@@ -247,7 +269,18 @@ def _count(model, primitive):
     return model.whole(accessor, "count", None, 1 << 31)
 
 
-def _read(model, primitive, place):
+def _has_logarithms(model, parts):
+    """Tell whether the scales of a file are logarithms: scales themselves are never below 0."""
+    below = count = 0
+    for primitive, _ in parts:
+        index = primitive["attributes"].get(PREFIX + "SCALE")
+        if index is not None:
+            scales = values_of(model, index, _count(model, primitive), 3)
+            below, count = below + np.count_nonzero((scales < 0).any(axis=1)), count + len(scales)
+    return below > MAX_BROKEN_SHARE * count
+
+
+def _read(model, primitive, place, logarithms):
     """Return the Splats of a primitive, turned into the capture's frame, and which are usable."""
     count, attributes = _count(model, primitive), primitive["attributes"]
 
@@ -268,7 +301,8 @@ def _read(model, primitive, place):
     with np.errstate(all="ignore"):  # what is not usable is counted afterwards
         position = values("POSITION", 3) @ matrix.T + HALF_TURN @ place[:3, 3]
         turn = np.roll(values(PREFIX + "ROTATION", 4), 1, axis=1)  # w first
-        turn, scale = _placed(turn, values(PREFIX + "SCALE", 3), rotation, scales)
+        scale = values(PREFIX + "SCALE", 3)
+        turn, scale = _placed(turn, np.exp(scale) if logarithms else scale, rotation, scales)
         opacity = values(PREFIX + "OPACITY", 1)[:, 0].astype(np.float64)
         logit = np.log(opacity) - np.log1p(-opacity)
         return activate(
