@@ -23,7 +23,7 @@ def export(out, scene, rates, views, width, height, more):
     """Write the data set by `rainsim export`, unless it is finished; return its folder."""
     folder, path = out / "data", out / "orbit.json"
     card = folder / "card.json"
-    if card.is_file() and json.loads(card.read_text())["complete"]:
+    if card.is_file() and json.loads(card.read_text(encoding="utf-8"))["complete"]:
         return folder
     loaded = load_scene(scene)
     write_transforms(path, orbit(loaded.ground_frame, loaded.cameras, None, views, width, height))

@@ -33,6 +33,7 @@ from rainsim.water.conditions import apply_conditions, let_in, longest_step, pla
 from rainsim.water.conserving_flow import AccurateFlow, LeanFlow
 from rainsim.water.inputs import (
     EDGES,
+    MOST_MANNING,
     field,
     mean_at_faces,
     open_edges,
@@ -153,10 +154,12 @@ class WaterSolver:
             "infiltration", 0.0 if infiltration is None else infiltration, self.shape
         ).astype(dtype)
         drains = require_drains(drains, self.shape)
-        roughness = (field("manning", manning, self.shape) ** 2).astype(dtype)
+        roughness = field("manning", manning, self.shape, most=MOST_MANNING) ** 2
+        roughness = roughness.astype(dtype)
         roughness = roughness if roughness.any() else None
         # Levels are compared, so the height of the map itself must not cost digits.
-        level_bed = (bed + storage - bed.mean()).astype(dtype)
+        self._height = float(bed.mean())
+        level_bed = (bed + storage - self._height).astype(dtype)
         common = level_bed, self.spacing, self.gravity, open_edges(boundary), roughness, DRY_DEPTH
         if scheme == "paper":
             refuse_viscosity(viscosity)
@@ -432,7 +435,7 @@ class WaterSolver:
         rough = () if roughness is None else (roughness,)
         kept = {
             "scheme": self._asked_scheme, "spacing": self.spacing, "gravity": self.gravity,
-            "type": bed.dtype.name,
+            "type": bed.dtype.name, "height": self._height, "courant": self._asked_courant,
             "ground": digest(bed, sources.storage, sources.infiltration, *sources.drains, *rough),
             "conditions": [[type(c).__name__, c.edge, len(c.rows)] for c in self.conditions],
         }  # fmt: skip

@@ -14,11 +14,14 @@ import click
 from rainsim.commands import options
 from rainsim.commands.given import require_backend
 from rainsim.commands.status import Status
-from rainsim.errors import InputError, ParameterError, require_positive
+from rainsim.errors import DivergedError, InputError, ParameterError, require_positive
 
 SAVE_EVERY = 60.0  # s of the clock, after a step
 GAUGES, STATE = "gauges.csv", "state.npz"
-MAPS = ("depth", "u", "v")
+MAPS, PICTURE = ("depth", "u", "v"), "depth.png"
+MOST_READINGS = 1_000_000
+MOST_DIGITS = 10  # of a row or a column
+HEIGHT_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": 1200 / 3937}
 
 
 class NumberOrFile(click.ParamType):
@@ -43,7 +46,7 @@ class AtEdge(click.ParamType):
         """Return the edge, the first cell and the last cell + 1 or None, and what is given."""
         place, _, given = value.partition("=")
         edge, *cells = place.split(":")
-        if not given or len(cells) not in (0, 2) or not all(n.isdigit() for n in cells):
+        if not given or len(cells) not in (0, 2) or not all(map(_is_whole, cells)):
             self.fail(
                 f"{value!r} is not EDGE=VALUE or EDGE:A:B=VALUE, cells from A to B, B excluded, "
                 "such as west:8:12=river.csv",
@@ -62,9 +65,14 @@ class Gauge(click.ParamType):
         """Return the name and the cell."""
         name, _, place = value.partition("=")
         cell = place.split(",")
-        if not name or len(cell) != 2 or not all(n.strip().isdigit() for n in cell):
+        if not name or len(cell) != 2 or not all(_is_whole(n.strip()) for n in cell):
             self.fail(f"{value!r} is not NAME=ROW,COLUMN, such as bridge=10,30", param, ctx)
         return name, (int(cell[0]), int(cell[1]))
+
+
+def _is_whole(text):
+    """Tell whether a text is a number of some digits; `isdigit` is true of superscripts, too."""
+    return text.isascii() and text.isdigit() and len(text) < MOST_DIGITS
 
 
 def _given(name, kind, text, **more):
@@ -76,6 +84,10 @@ def _given(name, kind, text, **more):
 @_given("duration", float, "Simulated time [s] from the start, not from where --resume goes on.",
         required=True, metavar="S")  # fmt: skip
 @_given("spacing", float, "Side of a cell [m]; the file's where it has one.", metavar="M")
+@_given("height-unit", click.Choice(["m", "ft", "us-ft"]), "Unit of the bed's heights, whatever "
+        "the file says. [default: the file's, or m]")  # fmt: skip
+@_given("nodata", click.Choice(["closed", "open"]), "Whether cells without a height are walls, or "
+        "water leaves over their edge.", default="closed", show_default=True)  # fmt: skip
 @_given("rain", NumberOrFile(), "mm/h, or a CSV of time [s] and mm/h, each until the next.",
         default="0")  # fmt: skip
 @_given("level", float, "Water level at the start [m], in the heights of the bed.", metavar="M")
@@ -105,14 +117,16 @@ def _given(name, kind, text, **more):
 def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given):
     """Solve the flow of water over BED, a map of heights, without a scene.
 
-    BED and other maps are ESRI ASCII grids (.asc), GeoTIFF (.tif) in metres, lines of numbers
-    (.txt), all with the north first, or .npy with the south first. Units are SI but for rain,
-    infiltration and storage; rows count from the south, columns from the west.
+    BED and other maps are ESRI ASCII grids (.asc), GeoTIFF (.tif) in metres or feet, lines of
+    numbers (.txt), all with the north first, or .npy with the south first. Units are SI but for
+    rain, infiltration and storage; rows count from the south, columns from the west. On cells
+    without a height no rain falls.
 
-    Writes depth, u and v at the end as maps like BED, gauges.csv with the readings of gauges, open
-    edges and given edges, and state.npz. Ctrl-C stops after a step; --resume goes on, to a longer
-    --duration, too. There is no friction unless --manning or --viscosity is given. --backend cuda
-    takes the scheme lean in float32, and stops at the next reading.
+    Writes depth, u and v at the end as maps like BED, depth.png to look at, gauges.csv with the
+    readings of gauges, open edges and given edges, and state.npz. Ctrl-C stops after a step;
+    --resume goes on, to a longer --duration, too. There is no friction unless --manning or
+    --viscosity is given. --backend cuda takes the scheme lean in float32, and stops at the next
+    reading.
 
     \b
     Example:
@@ -121,9 +135,8 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
     """
     status = Status(quiet)
     duration = require_positive("--duration", duration, "s")
-    period = given["period"]
-    period = duration / 100 if period is None else require_positive("--period", period, "s")
     require_backend(given["backend"])
+    _require_names(given["gauge"])
     if given["depth"] is not None and given["level"] is not None:
         raise ParameterError("--depth and --level are both given; leave one out")
     files = [bed, *_files_in(given)]
@@ -131,42 +144,92 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
     from rainsim.io.fingerprint import hash_of_file
     from rainsim.io.rasters import read_raster
     from rainsim.output_folder import Record, claimed, relative
+    from rainsim.output_folder.names import read_record
 
-    ground = read_raster(bed)
+    ground = _in_metres(read_raster(bed), given["height_unit"])
     content = {"flow": {k: str(v) for k, v in given.items() if k != "period"},
                "files": [hash_of_file(file) for file in files]}  # fmt: skip
     with status, claimed(out, overwrite, resume, files):
+        status.notes(ground.notes)
         from rainsim.jit import set_threads
 
         set_threads(threads)
         record = Record(out, None, content)
         if resume:
             record.resume(())
-        solver, rain = _solver(ground, bed, given)
+        period = _period(given["period"], duration, read_record(out) if resume else {})
+        record.facts["period"] = period
+        solver, rain, absent = _solver(ground, bed, given)
         status.say(solver.choice)
+        if absent.any():
+            status.notes([_about_nodata(absent, given["nodata"])])
         if solver.flow.roughness is None:
             status.notes(["no friction: neither --manning nor --viscosity is given"])
         if given["backend"] == "cuda":
             from rainsim.cuda.solver import GpuWaterSolver
 
-            solver = GpuWaterSolver(solver)
+            solver = GpuWaterSolver(solver, solver.sources.exposure)
         run = Run(solver, given, out, status)
         if resume and (out / STATE).is_file():
             run.load(duration, period)
         record.begin()
         record.add(GAUGES, STATE)
         finished = run.to(duration, period, rain)
-        names = _write_maps(out, ground, solver)
+        names = _write_maps(out, ground, solver, absent)
         record.add(*names)
         record.write(complete=finished, time=solver.time, ledger=solver.ledger.as_dict())
     if not finished:
         status.say(f"stopped at {solver.time:.6g} s; --resume goes on from there")
         raise KeyboardInterrupt
+    if given["nodata"] == "open" and absent.any():
+        status.notes([f"{solver.ledger.drained:.6g} m3 left over the edge of nodata"])
     status.say(f"maps, gauges and state in {relative(out)}")
     result = {"out": str(out), "files": record.files, "time": solver.time,
               "steps": run.steps, "scheme": solver.scheme,
               "ledger": solver.ledger.as_dict()}  # fmt: skip
     options.echo(result, as_json, _as_text(result["ledger"]))
+
+
+def _require_names(gauges):
+    """Raise ParameterError if two gauges have one name: their columns would have, too."""
+    names = [name for name, _ in gauges]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ParameterError(f"--gauge {twice[0]} is given twice; give each its own name")
+
+
+def _period(given, duration, before):
+    """Return the time between readings [s]: as given, as the run before had it, or a hundredth."""
+    from rainsim.io.files import json_number
+
+    kept = json_number(before.get("period"))
+    if kept and given is not None and not math.isclose(given, kept):
+        raise ParameterError(
+            f"--period is {given:g} s; the run that goes on has readings every {kept:g} s; leave "
+            "it out"
+        )
+    period = given if given is not None else kept or duration / 100
+    if duration / require_positive("--period", period, "s") > MOST_READINGS:
+        raise ParameterError(
+            f"--period is {period:g} s of {duration:g} s; there may be at most {MOST_READINGS} "
+            "readings; give a longer one"
+        )
+    return period
+
+
+def _in_metres(ground, unit):
+    """Return the bed with heights that the user says are in another unit than the file."""
+    if unit is None:
+        return ground
+    values = ground.values / ground.per_height * HEIGHT_UNITS[unit]
+    return ground._replace(values=values, notes=(*ground.notes, f"heights are in {unit}, as given"))
+
+
+def _about_nodata(absent, way):
+    told = f"{int(absent.sum())} of {absent.size} cells have no height (nodata): "
+    if way == "open":
+        return told + "water leaves over their edge"
+    return told + "walls, behind which water may stand; --nodata open lets it leave"
 
 
 class Run:
@@ -260,11 +323,12 @@ def _files_in(given):
 
 
 def _solver(ground, bed, given):
-    """Return the solver and its rain: a rate [m/s] or a series."""
+    """Return the solver, its rain (a rate [m/s] or a series), and which cells have no height."""
     from rainsim.config.rules import MM_PER_HOUR
     from rainsim.grid import WaterSolver
     from rainsim.water.conditions import Discharge, Rating, Stage
     from rainsim.water.inputs import EDGES
+    from rainsim.water.nodata import require_heights, without_nodata
     from rainsim.water.series import read_series
 
     spacing = given["spacing"] if given["spacing"] is not None else ground.spacing
@@ -286,6 +350,10 @@ def _solver(ground, bed, given):
         table = read_series(value)
         return Rating(edge, table.times, table.values, span)
 
+    heights, absent, drains = without_nodata(ground.values, given["nodata"])
+    for name in ("stage", "discharge", "rating"):
+        for edge, span, _ in given[name]:
+            require_heights(absent, edge, span, f"--{name}")
     conditions = [Stage(edge, series(value), span) for edge, span, value in given["stage"]]
     conditions += [Discharge(edge, series(value), span) for edge, span, value in given["discharge"]]
     conditions += [curve(*entry) for entry in given["rating"]]
@@ -293,28 +361,30 @@ def _solver(ground, bed, given):
     by_device = given["backend"] == "cuda" and given["scheme"] == "auto"
     scheme = "lean" if by_device else given["scheme"]
     solver = WaterSolver(
-        ground.values, spacing, scheme, dict.fromkeys(edges, "open"),
+        heights, spacing, scheme, dict.fromkeys(edges, "open"),
         manning=_map(given["manning"], ground, "--manning"),
         kinematic_viscosity=given["viscosity"], courant=given["courant"],
         storage=1e-3 * _map(given["storage"], ground, "--storage"),
         infiltration=MM_PER_HOUR * _map(given["infiltration"], ground, "--infiltration"),
-        dtype="float64" if given["double"] else "float32", conditions=conditions,
+        drains=drains, dtype="float64" if given["double"] else "float32", conditions=conditions,
     )  # fmt: skip
+    if absent.any():
+        solver.sources.exposure = 1.0 - absent
     if given["depth"] is not None:
-        solver.set_state(_map(given["depth"], ground, "--depth"))
+        solver.set_state(_map(given["depth"], ground, "--depth") * ~absent)
     elif given["level"] is not None:
-        import numpy as np
-
-        solver.set_state(np.maximum(given["level"] - ground.values, 0.0))
+        solver.set_state((given["level"] - heights).clip(0.0) * ~absent)
     if by_device:
         solver.reason = "auto: the scheme of a CUDA device"
-    return solver, series(given["rain"], MM_PER_HOUR, holds=True)
+    return solver, series(given["rain"], MM_PER_HOUR, holds=True), absent
 
 
 def _map(value, ground, option):
     """Return a number, or the map of a file, which must have the shape of the bed."""
     if not isinstance(value, Path):
         return value
+    import numpy as np
+
     from rainsim.io.rasters import read_raster
 
     found = read_raster(value).values
@@ -323,17 +393,27 @@ def _map(value, ground, option):
             f"{value} of {option} has {found.shape[0]} x {found.shape[1]} cells; it must have the "
             f"bed's {ground.values.shape[0]} x {ground.values.shape[1]}"
         )
-    return found
+    return np.where(np.isnan(ground.values), 0.0, found)
 
 
-def _write_maps(out, ground, solver):
-    """Write depth and velocity as maps like the bed; return their names."""
+def _write_maps(out, ground, solver, absent):
+    """Write depth and velocity as maps like the bed, and a picture; return their names."""
+    import numpy as np
+
+    from rainsim.io.images import write_png
     from rainsim.io.rasters import write_raster
+    from rainsim.terrain.pictures import water_over
 
+    maps = solver.depth, *solver.velocity
+    if not all(np.isfinite(values).all() for values in maps):
+        raise DivergedError(
+            f"depth or velocity is not finite at {solver.time:.6g} s; give a smaller --courant"
+        )
     names = [f"{name}{ground.kind}" for name in MAPS]
-    for name, values in zip(names, (solver.depth, *solver.velocity), strict=True):
-        write_raster(out / name, values, ground)
-    return names
+    for name, values in zip(names, maps, strict=True):
+        write_raster(out / name, np.where(absent, np.nan, values), ground)
+    write_png(out / PICTURE, water_over(ground.values, solver.spacing, maps[0]))
+    return [*names, PICTURE]
 
 
 def _as_text(ledger):

@@ -64,8 +64,10 @@ def _available():
 def _left_to_this_container():
     """Return the bytes left below a container's limit, file cache counted as free; None without."""
     try:
-        limit, used = (int((CONTAINER / name).read_text()) for name in LIMIT_AND_USE)
-        facts = dict(line.split() for line in (CONTAINER / "memory.stat").read_text().splitlines())
+        files = (*LIMIT_AND_USE, "memory.stat")
+        limit, used, facts = ((CONTAINER / name).read_text(encoding="ascii") for name in files)
+        limit, used = int(limit), int(used)
+        facts = dict(line.split() for line in facts.splitlines())
         return max(limit - used + int(facts.get("inactive_file", 0)), 0)
     except (OSError, ValueError):  # ValueError: the limit is "max"
         return None

@@ -93,10 +93,10 @@ class SharedRun:
         ours, deadline = self.record.fingerprint, time.monotonic() + MOST_WAIT
         if create(self._shared / RUN, ours):
             return
-        theirs = (self._shared / RUN).read_text()
+        theirs = (self._shared / RUN).read_text(encoding="utf-8")
         while len(theirs) < len(ours) and time.monotonic() < deadline:  # it is being written
             time.sleep(MOST_WAIT / 20)
-            theirs = (self._shared / RUN).read_text()
+            theirs = (self._shared / RUN).read_text(encoding="utf-8")
         if theirs != ours:
             raise self.record.was_another()
 

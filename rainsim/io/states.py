@@ -197,7 +197,7 @@ def _fall(drips):
 
 SOLVER = "state of the water solver"
 SOLVER_REMEDY = "write it with WaterSolver.save; `rainsim flow` does so without --resume"
-SOLVER_VERSION = 2  # of version 1 a stopped run cannot go on
+SOLVER_VERSION = 3  # version 1 cannot go on, 2 does not say its level and Courant number
 
 
 def digest(*arrays):

@@ -17,7 +17,8 @@ OURS = re.compile(
     r"|(hillshade|classes|check)\.png|video\.(mp4|mov)|finished\.jsonl|lod-meta\.json"
     r"|layers/(\d{5}\.json|[a-z_]+/\d{5}\.(png|exr|npz))|(env|\d+_\d+)/\w+\.(webp|json)"
     r"|(world|camera)\.usda|(ground|water|rain|capture)\.usdc|ground\.glb"
-    r"|(depth|u|v)\.(asc|txt|npy|tif)|gauges\.csv|state\.npz|exr/[A-Za-z0-9_-][A-Za-z0-9_.-]*\.exr"
+    r"|(depth|u|v)\.(asc|txt|npy|tif)|depth\.png|gauges\.csv|state\.npz"
+    r"|exr/[A-Za-z0-9_-][A-Za-z0-9_.-]*\.exr"
 )
 JOURNAL = "finished.jsonl"  # which frames or states are finished
 STATE = "states/{:05d}.npz"

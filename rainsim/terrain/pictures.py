@@ -53,6 +53,21 @@ def puddle_overlay(terrain, depth):
     return _bytes(_with_water(from_above(terrain), depth))[::-1]
 
 
+def water_over(bed, spacing, depth):
+    """Return a bed from above, grey, with `depth` [m] of water over it, uint8, north at the top.
+
+    Cells of the bed that are NaN are black.
+    """
+    absent = np.isnan(bed)
+    relief = max(float(np.nanmax(bed) - np.nanmin(bed)), 1e-3)
+    steps = max(1.0, 0.3 * spacing * max(bed.shape) / relief)  # flat ground shows its shape, too
+    shade = hillshade(np.where(absent, np.nanmean(bed), bed), spacing, exaggerate=min(steps, 20.0))
+    picture = np.repeat((0.25 + 0.6 * shade)[..., None], 3, axis=2)
+    picture = _with_water(picture, np.where(absent, 0.0, depth))
+    picture[absent] = 0.0
+    return _bytes(picture)[::-1]
+
+
 def _with_water(picture, depth):
     """Return `picture` with water drawn over it; `depth` has the picture's shape."""
     low, high, deep = FADE_DEPTHS

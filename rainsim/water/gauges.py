@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections import Counter
 
 import numpy as np
@@ -11,6 +12,8 @@ import numpy as np
 from rainsim.errors import InputError, ParameterError, require_not_negative, require_positive
 from rainsim.io.files import read_text, replacing
 from rainsim.water.series import MOST_TABLE
+
+DIGITS = 1e-8  # relative: a table has nine digits
 
 
 class Gauges:
@@ -109,15 +112,23 @@ class Gauges:
         for n in range(int((solver.time - begin) / period + 1e-9) + 1, count + 1):
             stop = end if n == count else begin + n * period
             report = solver.advance(max(stop - solver.time, 0.0), rain, progress and told)
-            if solver.time >= stop - 1e-9 * max(abs(stop), 1.0):
+            reached = solver.time >= stop - 1e-9 * max(abs(stop), 1.0)
+            if reached and not self._has_read(solver.time):
                 self.read()
             if not goes_on:
                 break
         return solver.advance(0.0, rain) if report is None else report
 
+    def _has_read(self, time):
+        """Tell whether the last reading is of that time [s], to the digits of the table."""
+        return bool(self.rows) and math.isclose(self.rows[-1][0], time, rel_tol=DIGITS)
+
     def write(self, path):
         """Write all readings as a CSV table with a line of names."""
-        with replacing(path) as temporary, open(temporary, "w", newline="") as file:
+        with (
+            replacing(path) as temporary,
+            open(temporary, "w", newline="", encoding="utf-8") as file,
+        ):
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(self.names)
             writer.writerows([[f"{number:.9g}" for number in row] for row in self.rows])
@@ -140,4 +151,4 @@ class Gauges:
             raise InputError(
                 f"{path} is no table of readings of these gauges; put it back, or begin a new one"
             )
-        self.rows = [row for row in rows if row[0] <= self._solver.time]
+        self.rows = [row for row in rows if row[0] <= self._solver.time * (1 + DIGITS)]

@@ -8,6 +8,9 @@ from rainsim.errors import ParameterError, require_choice, require_not_negative,
 
 BOUNDARIES = ("wall", "open")
 EDGES = ("west", "east", "south", "north")
+LEAST_COURANT = 1e-3  # below, a second of simulated time takes hours
+MOST_MANNING = 100.0  # s m^(-1/3); a dense wood has 0.2
+MOST_VALUE = 1e12  # of any map; squares beyond overflow float32
 
 
 def require_drains(drains, shape):
@@ -59,7 +62,7 @@ def require_bed(bed, least=2):
         j, i = np.argwhere(~np.isfinite(bed))[0]
         raise ParameterError(
             f"bed is {bed[j, i]} at row {j}, column {i} ({holes} such cells); heights must be "
-            "finite; fill the holes first"
+            "finite; `rainsim flow` takes cells without a height for walls"
         )
     return bed
 
@@ -68,10 +71,10 @@ def require_courant(courant, most):
     """Return `courant` (None stays None), or raise ParameterError if it is above `most`."""
     if courant is None:
         return None
-    if require_positive("courant", courant) > most:
+    if not LEAST_COURANT <= require_positive("courant", courant) <= most:
         raise ParameterError(
-            f"courant is {courant!r}; it must be at most {most}; above, waves grow or a cell gives "
-            "more water than it holds"
+            f"courant is {courant!r}; it must be from {LEAST_COURANT} to {most}; above, waves grow "
+            "or a cell gives more water than it holds; below, a run does not end"
         )
     return float(courant)
 
@@ -94,16 +97,16 @@ def open_edges(boundary):
     return {edge: boundary.get(edge, "wall") == "open" for edge in EDGES}
 
 
-def field(name, value, shape, signed=False):
+def field(name, value, shape, signed=False, most=MOST_VALUE):
     """Return `value` as a float64 map, or raise ParameterError that names its fault."""
     value = np.asarray(value, np.float64)
     if value.shape not in ((), shape):
         raise ParameterError(
             f"{name} has shape {value.shape}; it must be a number or of the bed's shape {shape}"
         )
-    bad = ~np.isfinite(value) if signed else ~((value >= 0) & np.isfinite(value))
+    bad = ~(np.abs(value) <= most) if signed else ~((value >= 0) & (value <= most))
     if bad.any():
-        rule = "finite" if signed else "finite and not negative"
+        rule = f"from {-most:g} to {most:g}" if signed else f"from 0 to {most:g}"
         raise ParameterError(f"{name} is {value[bad].flat[0]}; it must be {rule} everywhere")
     return np.broadcast_to(value, shape)
 

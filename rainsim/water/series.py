@@ -63,16 +63,20 @@ class Series:
         """Return the mean of the value from `start` to `end` [s]."""
         if end <= start:
             return self(start)
-        inside = self.times[(self.times > start) & (self.times < end)]
-        at = np.concatenate([[start], inside, [end]])
+        at = np.concatenate([[start], self.times[self._between(start, end)], [end]])
         if self.holds:
             return float(np.dot([self(t) for t in at[:-1]], np.diff(at)) / (end - start))
         return float(np.trapezoid([self(t) for t in at], at) / (end - start))
 
     def most(self, start, end):
         """Return the largest value from `start` to `end` [s]."""
-        inside = self.values[(self.times > start) & (self.times < end)]
-        return float(max(self(start), self(end), *inside))
+        return float(max(self(start), self(end), *self.values[self._between(start, end)]))
+
+    def _between(self, start, end):
+        """Return the slice of the times after `start` and before `end` [s]."""
+        return slice(
+            np.searchsorted(self.times, start, "right"), np.searchsorted(self.times, end, "left")
+        )
 
 
 def series(value):
@@ -89,7 +93,7 @@ def rain_pieces(rain, start, end):
         return [(end, rain)]
     if (rain.values < 0).any():
         raise ParameterError(f"rain is {rain.values.min():g} m/s; it must not be negative")
-    stops = rain.times[(rain.times > start) & (rain.times < end)].tolist()
+    stops = rain.times[rain._between(start, end)].tolist()
     if not rain.holds:
         count = math.ceil((end - start) / PIECE)
         stops += [start + n * PIECE for n in range(1, count)]

@@ -24,6 +24,8 @@ class Sources:
     film, storage, infiltration : ndarray of the shape of `flow.water.h` [m], [m], [m/s]
         Depth held back in each cell, its limit, and what the ground takes.
     drains : tuple of ndarray
+    exposure : ndarray of shape (ny, nx) or None
+        Share of the rain that falls on each cell; None for all of it everywhere.
     has_storage, has_losses : bool
         Whether cells hold water back, and whether the ground or drains take water.
     rain_sum : float [m/s]
@@ -42,12 +44,14 @@ class Sources:
         self.has_losses = bool(infiltration.any()) or len(drains[0]) > 0
         self._infiltrated = np.zeros(len(flow.tiles(True)))  # m, in each tile in one step
         self._rain_rate, self.rain_sum, self.unbooked_time = 0.0, 0.0, 0.0
+        self.exposure = None
 
     def set_rain(self, rain):
         """Fill the map of rain rates [m/s] from a number or a map of shape (ny, nx)."""
         if np.ndim(rain) > 0 or rain != self._rain_rate:
             inside = self._rain[self._flow.inner]
-            inside[:] = field("rain", rain, inside.shape)
+            rain_map = field("rain", rain, inside.shape)
+            inside[:] = rain_map if self.exposure is None else rain_map * self.exposure
             self.rain_sum = float(self._rain.sum(dtype=np.float64))
             self._rain_rate = rain if np.ndim(rain) == 0 else None
 

@@ -106,7 +106,7 @@ def test_what_the_solver_refuses_fails_where_it_is_forced_and_leaks_are_seen():
 def test_ground_and_rain_without_numbers_are_refused(scheme):
     bed, rain = np.zeros((4, 4)), np.zeros((4, 4))
     rain[1, 2] = bed[3, 3] = np.nan
-    with pytest.raises(ParameterError, match=r"bed is nan at row 3, column 3.*fill the holes"):
+    with pytest.raises(ParameterError, match=r"bed is nan at row 3, column 3.*must be finite"):
         WaterSolver(bed, 1.0, scheme=scheme)
     solver = WaterSolver(0 * rain[:1].repeat(4, 0), 1.0, scheme=scheme)
     with pytest.raises(ParameterError, match="rain is nan"):

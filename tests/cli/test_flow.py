@@ -123,7 +123,13 @@ def test_a_stopped_run_goes_on(rainsim, tmp_path, valley, monkeypatch):
         (["valley.asc", "--gauge", "a=99,0"], "row 99"),
         (["valley.asc", "--rain", "river.png"], "river.png"),
         (["valley.asc", "--rain", "-1"], "rain is -"),
-        (["holes.asc"], "fill the holes"),
+        (["valley.asc", "--gauge", "a=1,1", "--gauge", "a=2,2"], "--gauge a is given twice"),
+        (["valley.asc", "--gauge", "a=\u00b2,1"], "is not NAME=ROW,COLUMN"),
+        (["valley.asc", "--manning", "1e30"], "manning is 1e+30; it must be from 0 to 100"),
+        (["valley.asc", "--courant", "1e-9"], "from 0.001"),
+        (["valley.asc", "--period", "1e-9"], "at most 1000000 readings"),
+        (["empty.asc"], "no cell with a height"),
+        (["holes.asc", "--stage", "west=1"], "--stage at west has 12 cells, 2 of them nodata"),
         (["text.txt"], "as many numbers"),
         (["valley.asc", "--duration", "0"], "must be positive"),
         (["valley.asc", "--period", "0"], "--period"),
@@ -133,7 +139,53 @@ def test_bad_input_ends_in_one_line(rainsim, tmp_path, valley, words, message):
     np.save("valley.npy", valley)
     np.save("small.npy", np.ones((3, 3)))
     (tmp_path / "text.txt").write_text("1 2\n3\n")
-    holes = (tmp_path / "valley.asc").read_text().replace("-9999", "0.05", 1)
-    (tmp_path / "holes.asc").write_text(holes)
+    like = Raster(valley, 2.0, (100.0, 50.0), ".asc")
+    holes = valley.copy()
+    holes[3:5, 0] = np.nan
+    write_raster(tmp_path / "holes.asc", holes, like)
+    write_raster(tmp_path / "empty.asc", np.full_like(valley, np.nan), like)
     done = rainsim("flow", *(["--duration", "1"] if "--duration" not in words else []), *words)
     assert done.code in (1, 2) and message in done.error, done.err
+
+
+def catchment(path):
+    """A slope to the south within a square of nodata, without the line that says its value."""
+    bed = np.full((14, 12), np.nan)
+    bed[3:12, 2:10] = 1 + 0.05 * np.arange(9)[:, None]
+    write_raster(path, bed, Raster(bed, 2.0, (0.0, 0.0), ".asc"))
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("NODATA")]
+    path.write_text("\n".join(lines))
+    return np.isnan(bed)
+
+
+@pytest.mark.parametrize("way", ["closed", "open"])
+def test_cells_without_a_height_are_walls_or_let_water_leave(rainsim, tmp_path, way):
+    absent = catchment(tmp_path / "c.asc")
+    words = ("--duration", "300", "--rain", "100", "--manning", "0.02", "--nodata", way)
+    done = rainsim("flow", "c.asc", *words, "--out", "out", "--json")
+    assert done.code == 0, done.err
+    assert f"{absent.sum()} of {absent.size} cells have no height" in " ".join(done.err.split())
+    ledger = json.loads(done.out)["ledger"]
+    fallen = 100 / 3.6e6 * 300 * 4 * (~absent).sum()
+    assert ledger["rain"] == pytest.approx(fallen, rel=1e-5)  # none falls where there is no ground
+    assert abs(ledger["residual"]) < 1e-9
+    depth = read_raster(tmp_path / "out/depth.asc").values
+    np.testing.assert_array_equal(np.isnan(depth), absent)
+    if way == "closed":
+        assert ledger["drained"] == 0 and depth[3, 5] > 5 * depth[11, 5]  # it stands at the foot
+        assert np.nansum(depth) * 4 == pytest.approx(fallen, rel=1e-4)
+    else:
+        assert 0.5 * fallen < ledger["drained"] < fallen and depth[3, 5] < 0.01
+        assert f"{ledger['drained']:.6g} m3 left over the edge" in " ".join(done.err.split())
+
+
+def test_a_run_that_is_over_gains_no_reading_and_keeps_its_period(rainsim, tmp_path, valley):
+    words = ("valley.asc", "--duration", "10", "--manning", "0.03", "--rain", "9", "--out", "out")
+    assert rainsim("flow", *words, "--period", "3").code == 0
+    kept = (tmp_path / "out/gauges.csv").read_bytes()
+    assert len(table(tmp_path / "out/gauges.csv")[1]) == 5
+    for more in ((), ("--period", "3")):
+        assert rainsim("flow", *words, *more, "--resume").code == 0
+        assert (tmp_path / "out/gauges.csv").read_bytes() == kept
+    other = rainsim("flow", *words, "--period", "4", "--resume")
+    assert other.code == 2 and "has readings every 3 s" in other.error

@@ -64,6 +64,24 @@ def _documented(docstring):
     return [name for name in names if name.isidentifier()]
 
 
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_files_of_text_have_an_encoding_that_no_locale_changes(path):
+    for node in nodes(path):
+        if isinstance(node, ast.Call):
+            given = {k.arg: k.value for k in node.keywords}
+            name = getattr(node.func, "attr", getattr(node.func, "id", None))
+            mode = given.get("mode", node.args[1] if len(node.args) > 1 else None)
+            binary = isinstance(mode, ast.Constant) and "b" in str(mode.value)
+            opens = isinstance(node.func, ast.Name) and name == "open" and not binary
+            if opens or (name in ("read_text", "write_text") and _is_path(node)):
+                assert "encoding" in given or None in given, f"line {node.lineno}: {name}"
+
+
+def _is_path(call):
+    """Whether `read_text` is a method of a path, and not our function of that name."""
+    return isinstance(call.func, ast.Attribute)
+
+
 @pytest.mark.parametrize("path", [*SOURCES, *TEXTS], ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_texts_name_no_machine(path):
     text = path.read_text(encoding="utf-8")

@@ -384,7 +384,7 @@ HOLED = np.where(np.arange(20).reshape(4, 5) == 7, np.nan, 0.0)
         (lambda: WaterSolver(np.zeros(4), 0.1), r"shape \(4,\)"),
         (lambda: WaterSolver(FLAT, 0.0), "spacing is 0.0 m"),
         (lambda: WaterSolver(FLAT, 0.1, scheme="magic"), "scheme is 'magic'.*auto, accurate, lean"),
-        (lambda: WaterSolver(FLAT, 0.1, courant=0.9), "courant is 0.9.*at most 0.7"),
+        (lambda: WaterSolver(FLAT, 0.1, courant=0.9), "courant is 0.9.*from 0.001 to 0.7"),
         (lambda: WaterSolver(FLAT, 0.1, boundary="lid"), "'lid'.*wall, open"),
         (lambda: WaterSolver(FLAT, 0.1, boundary={"up": "wall"}), "'up'.*west, east"),
         (lambda: WaterSolver(FLAT, 0.1, manning=np.zeros((5, 4))), r"manning has shape \(5, 4\)"),

@@ -14,7 +14,7 @@ from rainsim.water.series import Series, read_series
 SCHEMES = ["accurate", "lean", "paper"]
 
 
-def made(scheme, **changes):
+def made(scheme, lifted=0.0, **changes):
     """A rough slope with an open edge, films, losses, drains and two conditions."""
     rng = np.random.default_rng(1)
     bed = -0.02 * np.arange(70.0) + 0.02 * rng.random((20, 70))
@@ -23,7 +23,7 @@ def made(scheme, **changes):
         "infiltration": 1e-6, "drains": [(4, 4, 1e-4)],
         "conditions": [Discharge("west", 0.2, span=(2, 6)), Stage("north", -0.9, span=(30, 34))],
     }  # fmt: skip
-    return WaterSolver(bed, 0.5, **{**options, **changes})
+    return WaterSolver(bed + lifted, 0.5, **{**options, **changes})
 
 
 def test_a_series_is_interpolated_or_holds_and_has_exact_means():
@@ -105,6 +105,8 @@ def test_a_run_that_goes_on_under_another_rain_has_had_the_first_one():
         ({"storage": 0.0}, "made differently"),
         ({"conditions": None}, "made differently"),
         ({"manning": 0.01}, "made differently"),
+        ({"courant": 0.3}, "made differently"),
+        ({"lifted": 1.0}, "made differently"),
     ],
 )
 def test_a_state_of_another_solver_is_refused(changes, words, tmp_path):
