@@ -124,12 +124,12 @@ def test_a_state_of_an_older_version_is_refused_in_one_line(tmp_path):
         arrays = dict(state)
     made("lean").load(tmp_path / "s.npz")
     del arrays["rises"]
-    for found in (1, None, 3):
+    for found in (1, None, 4):
         arrays |= {"times": arrays["times"][:6], "version": np.int64(found or 0)}
         if found is None:
             del arrays["version"]
         np.savez(tmp_path / "old.npz", **arrays)
-        rule = "at most 2 is read" if found == 3 else "version 1, at least 2 is read"
+        rule = "at most 3 is read" if found == 4 else "version 1, at least 3 is read"
         with pytest.raises(InputError, match=f"{rule}.*WaterSolver.save") as told:
             made("lean").load(tmp_path / "old.npz")
         assert "\n" not in str(told.value)
