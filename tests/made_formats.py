@@ -203,11 +203,12 @@ def spz_head(splats, version, bits=12, flags=0, streams=0, count=None, degree=No
     return struct.pack("<IIIBBBB", 0x5053474E, version, count, degree, bits, flags, streams)
 
 
-def spz(splats, version=3, **head):
-    """An SPZ file: gzip, or for version 4 a zstd stream for each section."""
+def spz(splats, version=3, behind=b"", **head):
+    """An SPZ file: gzip, or of version 4 zstd streams; `behind` are the bytes of extensions."""
     sections = spz_sections(splats, min(version, 4))
     if version < 4:
-        return gzip.compress(spz_head(splats, version, **head) + b"".join(sections), mtime=0)
+        whole = spz_head(splats, version, **head) + b"".join(sections) + behind
+        return gzip.compress(whole, mtime=0)
     import zstandard
 
     streams = [zstandard.ZstdCompressor().compress(section) for section in sections]
@@ -215,7 +216,8 @@ def spz(splats, version=3, **head):
         struct.pack("<QQ", len(stream), len(section))
         for stream, section in zip(streams, sections, strict=True)
     )
-    start = spz_head(splats, 4, streams=len(streams), **head) + struct.pack("<I12x", 32)
+    start = spz_head(splats, 4, streams=len(streams), **head)
+    start += struct.pack("<I12x", 32 + len(behind)) + behind
     return start + toc + b"".join(streams)
 
 

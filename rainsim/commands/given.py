@@ -125,7 +125,8 @@ def scene_of(name, given):
     """Load a scene with the ground options that were given."""
     from rainsim.scene.library import load_scene
 
-    names = ("cameras", "up", "meters_per_unit", "camera_height", "ground_frame", "photos")
+    names = ("cameras", "up", "meters_per_unit", "camera_height", "ground_frame", "photos",
+             "spz_frame")  # fmt: skip
     given = dict(given)
     require_own_cameras(given.get("cameras"))
     length = given.get("known_length")

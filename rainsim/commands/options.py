@@ -140,13 +140,19 @@ ground_options = group(
         type=float,
         metavar="M",
         help="Scale from the cameras' mean height above the ground, in metres. "
-        "[default: GPS of the photographs, else 1.5 is assumed]",
+        "[default: GPS of the photographs, else 1.8 is assumed, from the air asked for]",
     ),
     click.option(
         "--known-length",
         type=KnownLength(),
         help="Scale from two points and the metres between them: in capture units, or as columns "
         "and rows of a camera's full picture.",
+    ),
+    click.option(
+        "--spz-frame",
+        type=click.Choice(["rub", "rdf"]),
+        help="Axes of an SPZ file that does not name them: right, up, back or right, down, "
+        "forward. [default: those in which its cameras see]",
     ),
     click.option(
         "--fall",

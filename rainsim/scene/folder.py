@@ -51,6 +51,7 @@ from rainsim.scene.ground import (
 )
 from rainsim.scene.lamps import with_lamps
 from rainsim.scene.painted import PAINTED_FILE, read_painted, write_painted
+from rainsim.scene.sight import in_nerfstudio_frame, require_sight, settled
 from rainsim.scene.types import GroundFrame, Scene, Splats
 
 SCENE_FILE, SPLAT_FILE = "scene.json", "splats.npz"
@@ -70,8 +71,9 @@ NOT_UNIT = 1e-2  # of a quaternion's squared length from 1
 
 
 def import_scene(
-    path, cameras=None, up=None, meters_per_unit=None, camera_height=None, ground_frame=None
-):
+    path, cameras=None, up=None, meters_per_unit=None, camera_height=None, ground_frame=None,
+    spz_frame=None,
+):  # fmt: skip
     """Read a capture and find its ground frame.
 
     Parameters
@@ -88,6 +90,8 @@ def import_scene(
         they are assumed, see `assumed_ground_frame`.
     ground_frame : path-like or GroundFrame, optional
         The whole ground frame; `up` and the scale are then ignored.
+    spz_frame : {"rub", "rdf"}, optional
+        Axes of an SPZ file that does not name them; by default those in which the cameras see.
 
     Returns
     -------
@@ -97,11 +101,14 @@ def import_scene(
     if actors_file(path) is not None:
         given = cameras, up, meters_per_unit, camera_height, ground_frame
         return _import_with_actors(path, actors_file(path), *given)
+    camera_file = None
     if _is_path(cameras):
+        camera_file = Path(cameras)
         cameras, camera_notes = load_cameras(cameras)
     folder = path.parent if path.name == SCENE_FILE else path
     if (folder / SCENE_FILE).is_file():
         scene = read_scene(folder)
+        settled(scene.splats, (), (), spz_frame)  # a scene folder has its frame
         if cameras is not None:
             notes = (*scene.notes, *camera_notes)
             scene = replace(scene, cameras=tuple(cameras), notes=notes)
@@ -114,10 +121,18 @@ def import_scene(
         return _import_chunks(path, splat_file, cameras, camera_notes, ground_frame, given)
     with ThreadPoolExecutor(1) as pool:  # hashing runs beside reading
         hashed = pool.submit(sha256_of, splat_file)
-        splats, notes = read_splats(splat_file)
+        read, notes = read_splats(splat_file)
         if cameras is None:
+            camera_file = _camera_file(splat_file, model)
             cameras, camera_notes = cameras_beside(splat_file, model)
+        if camera_file is not None:
+            cameras, more = in_nerfstudio_frame(splat_file, camera_file, cameras)
+            camera_notes = [*camera_notes, *more]
         source_hash = hashed.result()
+    splats, notes = settled(read, notes, cameras, spz_frame)
+    if splats is not read:
+        source_hash = hashlib.sha256(f"{source_hash} turned".encode()).hexdigest()
+    camera_notes = [*camera_notes, *require_sight(path, splats, cameras)]
     for field in fields(splats):
         cache.know_hash(getattr(splats, field.name), "splats", source_hash, field.name)
     if ground_frame is None:
@@ -280,15 +295,16 @@ def _only_splat_file(folder):
 
 def cameras_beside(splat_file, model):
     """Return the cameras found beside a splat file or in its model's folder, and notes."""
+    found = _camera_file(splat_file, model)
+    return ([], []) if found is None else load_cameras(found)
+
+
+def _camera_file(splat_file, model):
+    """Return the file or the COLMAP model that `cameras_beside` reads, None without one."""
     folders = list(dict.fromkeys((splat_file.parent, model)))
-    for folder in folders:
-        for name in JSON_FILES:
-            if (folder / name).is_file():
-                return load_cameras(folder / name)
-    for folder in folders:
-        if find_model(folder) is not None:
-            return load_cameras(find_model(folder))
-    return [], []
+    named = [folder / name for folder in folders for name in JSON_FILES]
+    found = next((file for file in named if file.is_file()), None)
+    return found or next(filter(None, map(find_model, folders)), None)
 
 
 def _file_name(path, model):

@@ -26,6 +26,7 @@ from rainsim.scene.ground_search import (
     UP_HINT_ANGLE,
     angle_between,
     ground_below,
+    looks_down,
     reasons_of,
     search_ground,
 )
@@ -196,6 +197,19 @@ def ground_axes(up, cameras):
             break
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(up, x), up])
+
+
+def require_known_scale(frame, cameras):
+    """Raise GroundError if the scale is assumed of cameras that look down from the air.
+
+    Nobody carried them; drones fly at 20 to 120 m, so nothing can be assumed.
+    """
+    if frame.scale_assumed and len(cameras) and looks_down(cameras, frame.up):
+        raise GroundError(
+            "the cameras look straight down from the air, so their height above the ground cannot "
+            "be assumed; give it with --camera-height M (the drone's log and its photographs have "
+            "it), or photographs with GPS by --photos, or --known-length or --meters-per-unit"
+        )
 
 
 def rescale_ground_frame(frame, cameras, meters_per_unit=None, camera_height=None):

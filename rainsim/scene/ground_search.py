@@ -9,6 +9,7 @@ import numpy as np
 
 from rainsim.errors import GroundError
 from rainsim.scene.level import (
+    AGREE_DOWN,
     CHANCE,
     FULL_SIGMAS,
     MISPLACED,
@@ -28,6 +29,7 @@ SURE_PLANE, CLEARLY = 0.5, 1.25
 # Support from which on ground that is not found is taken below cameras whose level is so sure.
 HINTED, SURE_LEVEL = 1.0, math.radians(2)
 LOOKS_IN = 0.5  # mean cosine of views to the cameras' middle, from which on they look at a thing
+FROM_THE_AIR = "the cameras look straight down: a survey from the air"
 TOO_POOR = "the ground is too poor to be found"  # begins the note on a plane that was not found
 MOST_NAMED = 4  # misplaced cameras in a note
 LEAST_IMAGE_UP = 0.3  # mean of unit vectors; shorter means that the cameras do not agree
@@ -83,19 +85,18 @@ def ground_below(splats, cameras, up, seed):
     if level is not None:
         hint, angle = level.up, max(LEVEL_ANGLE, 3 * level.deviation)
         placed = level.weight >= MISPLACED
-        wrong = [camera.name for camera, fine in zip(cameras, placed, strict=True) if not fine]
-        if wrong:
-            more = ", ..." if len(wrong) > MOST_NAMED else ""
-            notes.append(
-                f"{len(wrong)} of {len(eyes)} cameras are misplaced and do not count for the "
-                f"ground: {', '.join(wrong[:MOST_NAMED])}{more}"
-            )
+        notes += _about_misplaced(cameras, placed)
     elif up is None:
         hint = mean_image_up(cameras)
         angle = math.pi if hint is None else IMAGE_UP_ANGLE
+    above = hint is not None and looks_down(cameras, hint)
+    if above:
+        notes.append(FROM_THE_AIR)
     try:
         sure = level is not None or up is not None
-        plane, centre = search_ground(splats, eyes[placed], hint, angle, seed, sure, ambiguous=sure)
+        # From far above the ground fills the picture: it lies about the splats' middle.
+        around = eyes[:0] if above else eyes[placed]
+        plane, centre = search_ground(splats, around, hint, angle, seed, sure, ambiguous=sure)
     except GroundError:
         if not sure:
             raise
@@ -112,7 +113,7 @@ def ground_below(splats, cameras, up, seed):
                 # The ground slopes, or what a few cameras look down on does.
                 plane = _level_plane(hint, eyes[placed], own)
             return plane, centre, placed, notes
-    best = below.best(reach, height)
+    best = below.best(reach, reach if above and height is None else height)
     if own is not None and best.share <= CLEARLY * own.share:
         return plane, centre, placed, notes
     if own is None and best.sigmas < SURE:
@@ -121,6 +122,18 @@ def ground_below(splats, cameras, up, seed):
             raise _no_ground_below(best)
         notes.append(f"{TOO_POOR}: the plane {best.height:.3g} units below the cameras is taken")
     return _level_plane(hint, eyes[placed], best), None, placed, notes
+
+
+def _about_misplaced(cameras, placed):
+    """Return a list with a note that names the misplaced cameras, empty without any."""
+    wrong = [camera.name for camera, fine in zip(cameras, placed, strict=True) if not fine]
+    if not wrong:
+        return []
+    more = ", ..." if len(wrong) > MOST_NAMED else ""
+    return [
+        f"{len(wrong)} of {len(cameras)} cameras are misplaced and do not count for the ground: "
+        f"{', '.join(wrong[:MOST_NAMED])}{more}"
+    ]
 
 
 def _with_walls(level, cameras, points, reach, seed):
@@ -134,6 +147,11 @@ def _with_walls(level, cameras, points, reach, seed):
         return level
     # Cameras that climb against the walls are not misplaced: the weights stay.
     return level_of(cameras, reach, level.up, walls)._replace(weight=level.weight)
+
+
+def looks_down(cameras, up):
+    """Tell whether the cameras look straight down, as those of a survey from the air do."""
+    return float(np.mean([camera.forward @ -up for camera in cameras])) > AGREE_DOWN
 
 
 def mean_image_up(cameras):

@@ -20,6 +20,7 @@ from rainsim.scene.folder import (
     scene_to_data,
 )
 from rainsim.scene.formats import SUFFIXES
+from rainsim.scene.ground import require_known_scale
 from rainsim.scene.photographs import with_photographs
 from rainsim.scene.types import Splats
 
@@ -47,6 +48,7 @@ def load_scene(
     camera_height=None,
     ground_frame=None,
     photos=None,
+    spz_frame=None,
 ):
     """Load a scene by name or path.
 
@@ -57,7 +59,7 @@ def load_scene(
         is a name, looked up in the folders that RAINSIM_SCENES lists, in the user's data folder
         (rainsim/scenes) and among the built-in scenes, in this order. street:300 and traffic:300
         are built-in streets of 300 m.
-    cameras, up, meters_per_unit, camera_height, ground_frame
+    cameras, up, meters_per_unit, camera_height, ground_frame, spz_frame
         Override what the scene says; see `import_scene`.
     photos : path-like, optional
         Folder of the photographs of the capture's cameras, where it is not found beside the
@@ -89,9 +91,10 @@ def load_scene(
     path = find_scene(name_or_path)
     if path is not None:
         try:
-            scene = import_scene(path, cameras=cameras, **given)
+            scene = import_scene(path, cameras=cameras, spz_frame=spz_frame, **given)
             given_frame = ground_frame is not None
             scene = with_photographs(scene, path, cameras, photos, keep_scale=given_frame)
+            require_known_scale(scene.ground_frame, scene.cameras)
         except InputError as error:
             if str(name_or_path) not in BUILT_IN:
                 raise

@@ -1,5 +1,6 @@
 """Splat formats: what is written is read, whatever the file is called."""
 
+import struct
 import sys
 
 import numpy as np
@@ -12,6 +13,7 @@ from made_formats import write_splats
 from rainsim.errors import InputError
 from rainsim.scene.folder import import_scene
 from rainsim.scene.formats import read, read_splats
+from rainsim.scene.formats.spz import UNSAID
 from rainsim.scene.types import GroundFrame
 
 UP = GroundFrame(np.eye(3), 1.0, np.zeros(3))
@@ -64,7 +66,7 @@ def test_spz_is_turned_into_the_frame_of_the_others(tmp_path, extra, version, co
     (tmp_path / "a.bin").write_bytes(made.spz(stored, version))
     reading = read(tmp_path / "a.bin")
     found = reading.splats
-    assert reading.format == "SPZ" and reading.notes == ()
+    assert reading.format == "SPZ" and reading.notes == (UNSAID,)
     turn = np.diag([1.0, -1.0, -1.0])
     np.testing.assert_allclose(found.position, stored.position @ turn, atol=2e-4)
     np.testing.assert_allclose(found.opacity, stored.opacity, atol=0.003)
@@ -93,9 +95,38 @@ def test_spz_rotations_are_as_exact_as_their_bits(tmp_path, extra):
 
 
 def test_spz_flags_are_noted(tmp_path, extra):
-    (tmp_path / "a.spz").write_bytes(made.spz(made.tame_splats(9), 3, flags=3))
+    other = struct.pack("<III", 0xADBE0002, 4, 9)
+    data = made.spz(made.tame_splats(9), 3, flags=3, behind=other)
+    (tmp_path / "a.spz").write_bytes(data)
     notes = read_splats(tmp_path / "a.spz")[1]
-    assert "Mip-Splatting" in notes[0] and "extensions" in notes[1]
+    assert "Mip-Splatting" in notes[1] and "extensions" in notes[2]
+
+
+@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("axes", [1, 2, 4, 6, 7, 8, 9])
+def test_an_extension_names_the_axes_of_spz(tmp_path, extra, version, axes):
+    stored = made.tame_splats(50, 16)
+    extension = struct.pack("<III", 0xDEAD0001, 4, 9) + struct.pack("<III", 0xADBE0003, 4, axes)
+    (tmp_path / "a.spz").write_bytes(made.spz(stored, version, flags=2, behind=extension))
+    if axes > 8:
+        with pytest.raises(InputError, match="y and z axes exchanged"):
+            read(tmp_path / "a.spz")
+        return
+    found = read(tmp_path / "a.spz")
+    assert UNSAID not in found.notes
+    right, up, forward = ((axes - 1) & bit for bit in (1, 2, 4))
+    turn = np.diag([1.0 if right else -1.0, -1.0 if up else 1.0, 1.0 if forward else -1.0])
+    np.testing.assert_allclose(found.splats.position, stored.position @ turn, atol=2e-4)
+    for s in range(10):
+        parts = [
+            naive.quaternion_matrix(q.rotation[s]) * q.scale[s] for q in (stored, found.splats)
+        ]
+        expected, got = (shape @ shape.T for shape in parts)
+        np.testing.assert_allclose(got, turn @ expected @ turn, atol=0.12 * np.abs(expected).max())
+    direction = np.array([0.36, 0.48, 0.8])
+    before = np.einsum("k,nkc->nc", naive.sh_basis(turn @ direction, 4), stored.sh)
+    after = np.einsum("k,nkc->nc", naive.sh_basis(direction, 4), found.splats.sh)
+    np.testing.assert_allclose(after, before, atol=0.04)
 
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
@@ -228,6 +259,13 @@ UNKNOWN = {
     "noise": (np.random.default_rng(0).bytes(3200), "no splat file"),
     "zeros": (bytes(3200), "no splat file"),
     "json": (b'{"frames": []}', "does not describe splats"),
+    "a capture's zip": (
+        made.bundle({"cameras.json": b"[]", "a/point_cloud.ply": b"ply"}),
+        "the capture a/point_cloud.ply in it.*unpack the zip",
+    ),
+    "pointer": (b"version https://git-lfs.github.com/spec/v1\noid sha256:12\n", "git lfs pull"),
+    "usd": (b"PXR-USDC" + bytes(80), "it is a USD stage"),
+    "unpacked spz": (__import__("gzip").decompress(made.spz(made.tame_splats(9))), "unpacked"),
     "other zip": (made.bundle({"a.txt": b"hello"}), "0 meta.json"),
     "other gzip": (__import__("gzip").compress(b"hello" * 9), "gzip but not SPZ"),
 }
@@ -240,6 +278,12 @@ def test_other_files_are_refused_in_one_line(tmp_path, case):
     with pytest.raises(InputError, match=expected) as caught:
         read(tmp_path / "some.splat")
     assert "\n" not in str(caught.value) and str(tmp_path) in str(caught.value)
+
+
+def test_a_ksplat_is_named_by_its_suffix(tmp_path):
+    (tmp_path / "a.ksplat").write_bytes(made.splat_records(made.tame_splats(50, 1)))
+    with pytest.raises(InputError, match="one viewer's own"):
+        read(tmp_path / "a.ksplat")
 
 
 def test_missing_extra_is_named_with_the_command_that_installs_it(tmp_path, monkeypatch):

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from made_captures import patio, ring, splats_at
+from rainsim.errors import GroundError
 from rainsim.scene.cameras import look_at
-from rainsim.scene.ground import estimate_ground_frame
+from rainsim.scene.ground import estimate_ground_frame, require_known_scale
+from rainsim.scene.ground_search import FROM_THE_AIR
 from rainsim.scene.level import FEWEST, MISPLACED, GroundBelow, level_of
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -32,6 +34,25 @@ def test_a_walk_is_level_although_all_cameras_look_down():
     assert degrees_off(level.up) < 0.5 and np.degrees(level.deviation) < 1.5
     images_up = np.mean([camera.image_up for camera in walk()], axis=0)
     assert degrees_off(images_up / np.linalg.norm(images_up)) > 10  # where the fit starts from
+
+
+def test_ground_seen_straight_down_from_afar_is_found_and_its_scale_asked_for():
+    points = patio()
+    cameras = [
+        look_at((x, y, 40.0), (x, y, 0.0), (0.0, 1.0, 0.0), 60, 64, 48)
+        for x in (-3.0, 0.0, 3.0) for y in (-2.0, 2.0)
+    ]  # fmt: skip
+    splats = points if hasattr(points, "opacity") else splats_at(points)
+    frame = estimate_ground_frame(splats, cameras)
+    assert degrees_off(frame.up) < 0.5 and FROM_THE_AIR in frame.notes
+    with pytest.raises(GroundError, match="--camera-height M"):
+        require_known_scale(frame, cameras)
+    given = estimate_ground_frame(splats, cameras, camera_height=80.0)
+    require_known_scale(given, cameras)
+    assert given.meters_per_unit == pytest.approx(2.0, rel=0.02)
+    walked = estimate_ground_frame(splats, ring())
+    require_known_scale(walked, ring())  # those were carried
+    assert FROM_THE_AIR not in walked.notes
 
 
 def test_one_misplaced_camera_changes_nothing():

@@ -32,6 +32,9 @@ HINTS = {
     b"\x89PNG": " (it is a picture)",
     b"\xff\xd8\xff": " (it is a picture)",
     b"RIFF": " (it is a picture or sound; of a SOG name its meta.json)",
+    b"version https://git-lfs": " (it is a pointer of Git LFS: `git lfs pull` gets the file)",
+    b"PXR-USDC": " (it is a USD stage)",
+    b"#usda": " (it is a USD stage)",
 }
 
 
@@ -205,8 +208,10 @@ def _reader_of(path, start, file):
     from rainsim.scene.formats.antimatter import looks_like_records, read_antimatter
 
     hint = next((text for magic, text in HINTS.items() if start.startswith(magic)), None)
-    if hint is None and looks_like_records(start):
+    if hint is None and path.suffix.lower() != ".ksplat" and looks_like_records(start):
         return ".splat", read_antimatter
+    if path.suffix.lower() == ".ksplat":
+        hint = " (.ksplat is one viewer's own; its converters write .splat and PLY)"
     hint = hint or ("" if start else " (it is empty)")
     raise InputError(f"{path} is no splat file that is known{hint}; {REMEDY}")
 

@@ -13,7 +13,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from rainsim.errors import InputError, shown
+from rainsim.errors import InputError, one_line, shown
 from rainsim.io.files import json_number, require_file
 from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
 from rainsim.scene.formats.extra import decoding, load_extra
@@ -90,9 +90,18 @@ def _kept(path, max_broken, splats, good):
 # --- the archive ----------------------------------------------------------------------------------
 
 
+SPLATS = (".ply", ".splat", ".spz", ".sog", ".glb", ".ksplat")
+
+
 def _root(path, infos):
     """Return the folder in the archive that holds meta.json, as a prefix of names."""
     found = [name for name in infos if PurePosixPath(name).name == META]
+    inside = [name for name in infos if PurePosixPath(name).suffix.lower() in SPLATS]
+    if not found and inside:
+        raise InputError(
+            f"{path} is a zip file with the capture {one_line(inside[0])} in it; a SOG bundle has "
+            "a meta.json; unpack the zip and name the folder"
+        )
     if len(found) != 1:
         raise InputError(
             f"{path} is a zip file with {len(found)} meta.json; a SOG bundle has one; check the "

@@ -1,7 +1,8 @@
 """Splats from SPZ files, versions 2 and 3 (gzip) and 4 (a zstd stream for each quantity).
 
 SPZ stores x right, y up, z back where PLY files of capture tools have x right, y down, z forward:
-a half turn about x, which positions, rotations and spherical harmonics all make.
+a half turn about x, which positions, rotations and spherical harmonics all make. Many converters
+leave the turn out (nianticlabs/spz, issue 84); an extension of the format names the axes.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import struct
 import zlib
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,9 +34,11 @@ ANTIALIASED, EXTENDED = 1, 2  # flags
 EXTENSION_LIMIT = 1 << 16  # bytes behind the splats that are not read
 STEP = 1 << 20  # bytes that are unpacked at a time
 
-HALF_TURN = np.float32([1, -1, -1])  # of vectors; quaternions' x, y, z turn alike
-# Sign of each basis function under (x, -y, -z): y, z, x; xy, yz, zz, xz, xx - yy; degree 3.
-HALF_TURN_SH = np.float32([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])
+EXTENSION = struct.Struct("<II")  # type and bytes of its value
+AXES = 0xADBE0003  # type of the extension that names the axes, a uint32
+RIGHT, UP, FORWARD = 1, 2, 4  # bits of that value less one
+DOCUMENTED = RIGHT + UP + 1
+UNSAID = "SPZ does not say its axes: taken for right, up, back (rub)"
 
 
 def read_spz(path, max_broken):
@@ -43,6 +47,11 @@ def read_spz(path, max_broken):
     _, version, count, degree, bits, flags, _ = header
     if version not in (GZIP_VERSIONS if gzipped else (ZSTD_VERSION,)):
         kind = "gzip" if gzipped else "zstd"
+        if version in GZIP_VERSIONS:
+            raise InputError(
+                f"{path} is SPZ of version {version}, unpacked; it must be in gzip; pack it again "
+                "(gzip -k) or export it again"
+            )
         raise InputError(
             f"{path} is SPZ of version {version} in {kind}; versions 2 and 3 (gzip) and 4 (zstd) "
             "are read; export it in one of these"
@@ -57,35 +66,71 @@ def read_spz(path, max_broken):
     require_believable(path, count, len(packed))
     modules = () if gzipped else ("zstandard",)
     gsply = load_extra(path, KIND, *modules)
-    (_check_gzip if gzipped else _check_zstd)(path, packed, _section_sizes(count, version, degree))
+    check = _check_gzip if gzipped else _check_zstd
+    extensions = check(path, packed, _section_sizes(count, version, degree))
+    axes, others = _axes_in(extensions) if flags & EXTENDED else (0, False)
+    if axes > RIGHT + UP + FORWARD + 1:
+        raise InputError(
+            f"{path} has its y and z axes exchanged (axes {axes}); up must be y; export it with "
+            "the axes right, up, back"
+        )
     with decoding(path, KIND), _plain_backend(gsply):
         data = gsply.read_spz(path)
         rest = data.shN if degree else None
         if data.means.shape != (count, 3) or (degree and rest.shape[1] != REST[degree]):
             raise InputError(f"{path} changed while it was read; try again")
-        splats, broken, notes = _turned(path, data, rest, max_broken)
-    return splats, [*_flag_notes(flags), *notes], broken
-
-
-def _turned(path, data, rest, max_broken):
-    turn = data.quats.copy()
-    turn[:, 1:] *= HALF_TURN
-    if rest is not None:
-        rest = rest * HALF_TURN_SH[: rest.shape[1], None]
-    splats, good = activate(
-        data.means * HALF_TURN, data.scales, turn, data.opacities.reshape(-1), data.sh0, rest
-    )
+        splats, good = activate(
+            data.means, data.scales, data.quats, data.opacities.reshape(-1), data.sh0, rest
+        )
     splats, broken = keep_good(path, splats, good, max_broken)
-    return splats, broken, dropped_note(broken, len(splats))
-
-
-def _flag_notes(flags):
-    notes = []
+    bits = (axes or DOCUMENTED) - 1
+    splats = mirrored(splats, [bits & RIGHT, not bits & UP, bits & FORWARD])
+    notes = [] if axes else [UNSAID]
     if flags & ANTIALIASED:
         notes.append("SPZ says that the capture was trained with Mip-Splatting's screen filter")
-    if flags & EXTENDED:
-        notes.append("SPZ extensions are not read")
-    return notes
+    if others:
+        notes.append("SPZ extensions beside that of the axes are not read")
+    return splats, [*notes, *dropped_note(broken, len(splats))], broken
+
+
+def mirrored(splats, keeps):
+    """Return splats with the axes turned round that `keeps` has not; those of PLY are all kept.
+
+    A splat mirrored in a plane is a splat whose quaternion has the product of the other two signs
+    in each part, and each spherical harmonic has the signs of the coordinates that it multiplies.
+    """
+    x, y, z = (np.float32(1 if keep else -1) for keep in keeps)
+    one = np.float32(1)
+    harmonics = [one, y, z, x, x * y, y * z, one, x * z, one, y, x * y * z, y, z, x, z, x]
+    return replace(
+        splats,
+        position=splats.position * (x, y, z),
+        rotation=splats.rotation * (one, y * z, x * z, x * y),
+        sh=splats.sh * np.array(harmonics)[: splats.sh.shape[1], None],
+    )
+
+
+def half_turned(splats):
+    """Return splats turned half about x: from right, up, back to right, down, forward, or back."""
+    return mirrored(splats, (True, False, False))
+
+
+def _axes_in(extensions):
+    """Return the value of the extension that names the axes, 0 without it, and if there are others.
+
+    `extensions` are bytes: type, length and value of each, one after the other.
+    """
+    axes, others, start = 0, False, 0
+    while start + EXTENSION.size <= len(extensions):
+        kind, size = EXTENSION.unpack_from(extensions, start)
+        start += EXTENSION.size
+        value = extensions[start : start + size]
+        if kind == AXES and len(value) == 4:
+            axes = int.from_bytes(value, "little")
+        else:
+            others = True
+        start += size
+    return axes, others
 
 
 def _read_head(path):
@@ -116,10 +161,10 @@ def _section_sizes(count, version, degree):
 
 
 def _check_gzip(path, packed, sizes):
-    """Raise InputError unless the gzip stream holds the splats that its SPZ header promises.
+    """Return what lies behind the splats that an SPZ header promises, or raise InputError.
 
-    Behind the splats it may hold EXTENSION_LIMIT bytes at most; nothing may follow the stream. So a
-    small file that unpacks to gigabytes is found before it is read.
+    It is EXTENSION_LIMIT bytes at most, and nothing may follow the gzip stream. So a small file
+    that unpacks to gigabytes is found before it is read.
 
     Parameters
     ----------
@@ -131,11 +176,12 @@ def _check_gzip(path, packed, sizes):
         Unpacked bytes of each section, see `_section_sizes`.
     """
     need = PACKED.size + sum(sizes)
-    stream, data, done = zlib.decompressobj(31), packed, 0
+    stream, data, done, behind = zlib.decompressobj(31), packed, 0, b""
     try:
         while not stream.eof:
-            piece = len(stream.decompress(data, STEP))
-            done += piece
+            piece = stream.decompress(data, STEP)
+            behind += piece[max(need - done, 0) :]
+            done += len(piece)
             data = stream.unconsumed_tail
             if done > need + EXTENSION_LIMIT:
                 raise InputError(
@@ -149,10 +195,13 @@ def _check_gzip(path, packed, sizes):
         raise InputError(f"{path} ends after {done} of {need} unpacked bytes; {REMEDY}")
     if stream.unused_data:
         raise InputError(f"{path} has {len(stream.unused_data)} bytes behind its end; {REMEDY}")
+    return behind
 
 
 def _check_zstd(path, packed, sizes):
-    """Raise InputError unless each zstd stream lies in the file and announces its section's size.
+    """Return what lies before the table of contents, or raise InputError.
+
+    Each zstd stream must lie in the file and announce its section's size.
 
     Arguments as `_check_gzip` has them.
     """
@@ -185,6 +234,7 @@ def _check_zstd(path, packed, sizes):
                 f"be {size}; {REMEDY}"
             )
         start += stored
+    return packed[HEADER_4:place]
 
 
 @contextmanager

@@ -1,0 +1,179 @@
+"""Whether cameras and splats belong together: what each camera sees, and in which frame.
+
+Two valid files need not be of one place: cameras of another capture, splats that a tool has turned
+or scaled on export. What the cameras see tells it before anything is computed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rainsim.errors import InputError, ParameterError
+from rainsim.io.files import json_number, number_array, read_json
+from rainsim.scene.formats.spz import UNSAID, half_turned
+from rainsim.scene.plyheader import read_header
+
+SAMPLE = 20_000  # splats that are looked for in each camera's picture
+MOST_CAMERAS = 200
+LEAST_SEEN = 5e-4  # share of the splats; a camera in a street of a kilometre sees some per cent
+SPECK = 0.05  # of a picture's width; splats that cover less are those of a far place
+BLIND_SHARE = 0.2  # of the cameras that may see less without a word
+CLEARER = 1.3  # times as many splats must be seen in one frame as in the other
+SPZ_FRAMES = ("rub", "rdf")
+NERFSTUDIO_AXIS = "vertical axis: z"  # a comment of its PLY files
+DATAPARSER = "dataparser_transforms.json"
+
+
+def seen_shares(splats, cameras):
+    """Return the share of the splats whose centres lie in each camera's picture, (cameras,).
+
+    It is 0 where they all lie in a speck of it. Of many splats a sample is looked for, the same in
+    every run.
+    """
+    step = max(1, len(splats) // SAMPLE)
+    places = splats.position[::step].astype(np.float64)
+    shares = np.empty(len(cameras))
+    for k, camera in enumerate(cameras):
+        seen = places @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+        ahead = seen[:, 2] > 0
+        x, y, z = seen[ahead].T
+        z = np.ones_like(z) if camera.orthographic else z
+        x, y = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        within = (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
+        wide = np.ptp(np.percentile(x[within], (5, 95))) if within.any() else 0.0
+        shares[k] = within.mean() * ahead.mean() if wide > SPECK * camera.width else 0.0
+    return shares
+
+
+def require_sight(path, splats, cameras):
+    """Return a list with a note if many cameras see next to none of the splats.
+
+    Raises
+    ------
+    InputError
+        If all of them do.
+    """
+    chosen = list(cameras)[:: max(1, len(cameras) // MOST_CAMERAS)]
+    if not chosen:
+        return []
+    shares = seen_shares(splats, chosen)
+    blind = int((shares < LEAST_SEEN).sum())
+    if blind == len(chosen):
+        raise InputError(
+            f"{path}: none of its {len(cameras)} cameras sees the splats; they lie about "
+            f"{_text(np.median(splats.position, axis=0))}, cameras about "
+            f"{_text(np.median([c.position for c in chosen], axis=0))}; they are of another place "
+            "or another frame; give the capture's own with --cameras"
+        )
+    if blind > BLIND_SHARE * len(chosen):
+        return [
+            f"{blind} of {len(chosen)} cameras see less than {100 * LEAST_SEEN:g} % of the splats "
+            f"(the others {100 * np.median(shares[shares >= LEAST_SEEN]):.2g} %); are they all of "
+            "this capture?"
+        ]
+    return []
+
+
+def _text(place):
+    return "(" + ", ".join(f"{v:.4g}" for v in place) + ")"
+
+
+def settled(splats, notes, cameras, asked=None):
+    """Return the splats of an SPZ file that does not say its frame in that frame, and notes.
+
+    They are taken as the format describes them (right, up, back) unless the cameras see far more
+    of them as converters from PLY store them, unturned (right, down, forward), or `asked`, "rub"
+    or "rdf", says so.
+    """
+    if UNSAID not in notes:
+        if asked is not None:
+            raise ParameterError(
+                f"--spz-frame is {asked}; this capture is no SPZ file or says its frame itself; "
+                "leave it out"
+            )
+        return splats, notes
+    turned, how = asked == "rdf", "as given"
+    if asked is None:
+        chosen = list(cameras)[:: max(1, len(cameras) // MOST_CAMERAS)]
+        other = half_turned(splats) if chosen else splats
+        seen, seen_turned = (
+            float(np.median(seen_shares(s, chosen))) if chosen else 0.0 for s in (splats, other)
+        )
+        turned = seen_turned > CLEARER * seen
+        sure = turned or seen > CLEARER * seen_turned
+        how = (
+            f"in which its cameras see {100 * max(seen, seen_turned):.0f} % of the splats, "
+            f"{100 * min(seen, seen_turned):.0f} % in the other"
+            if sure
+            else "as the format describes it, which its cameras neither confirm nor deny; if the "
+            "capture lies on its head give --spz-frame rdf"
+        )
+    frame = "right, down, forward (rdf)" if turned else "right, up, back (rub)"
+    note = f"SPZ does not say its axes: taken for {frame}, {how}"
+    splats = half_turned(splats) if turned else splats
+    return splats, [note if text == UNSAID else text for text in notes]
+
+
+def in_nerfstudio_frame(splat_file, camera_file, cameras):
+    """Return cameras of a transforms.json in the frame of splats that nerfstudio has exported.
+
+    Its dataparser turns, moves and scales a capture, `ns-export gaussian-splat` leaves the splats
+    so, and the run's dataparser_transforms.json, beside either file, says how: x' = scale T x for
+    places before the `applied_transform` of transforms.json. Other cameras come back as they are.
+
+    Returns
+    -------
+    cameras : list of Camera
+    notes : list of str
+    """
+    if not _is_nerfstudio(splat_file) or camera_file.name != "transforms.json":
+        return cameras, []
+    cameras_data = read_json(camera_file, "a camera file")
+    if any("camera_from_world" in frame for frame in cameras_data["frames"]):
+        return cameras, []  # our own, which has the splats' frame
+    folders = dict.fromkeys((splat_file.parent, camera_file.parent))
+    file = next((f / DATAPARSER for f in folders if (f / DATAPARSER).is_file()), None)
+    if file is None:
+        return cameras, [
+            "nerfstudio exported the splats in a frame of its own; cameras of transforms.json are "
+            f"in it only with the run's {DATAPARSER} beside the splats "
+            "(outputs/NAME/METHOD/TIME/); copy it there"
+        ]
+    data = read_json(file, "a nerfstudio transform")
+    data = data if isinstance(data, dict) else {}
+    matrix, scale = number_array(data.get("transform"), (3, 4)), json_number(data.get("scale"))
+    before = cameras_data.get("applied_transform", np.eye(4)[:3].tolist())
+    before = number_array(before, (3, 4))
+    scale_before = json_number(cameras_data.get("applied_scale", 1.0))
+    for name, turn in ((DATAPARSER, matrix), (camera_file.name, before)):
+        if turn is None or abs(abs(np.linalg.det(turn[:, :3])) - 1) > 1e-3:
+            raise InputError(
+                f"{file.parent / name}: its transform is no rotation and translation of 3 x 4 "
+                "numbers; copy the file of the run again"
+            )
+    if not scale or scale < 0 or not scale_before or scale_before < 0:
+        raise InputError(f"{file}: its scale must be above 0; copy the file of the run again")
+    turn = matrix[:, :3] @ np.linalg.inv(before[:, :3])
+    shift, scale = matrix[:, 3] - turn @ before[:, 3], scale / scale_before
+    return [_moved(camera, turn, shift, scale) for camera in cameras], [
+        f"cameras are in the frame of nerfstudio's splats, by {DATAPARSER} (scale {scale:.4g})"
+    ]
+
+
+def _moved(camera, turn, shift, scale):
+    pose = np.eye(4)
+    pose[:3, :3] = camera.camera_from_world[:3, :3] @ turn.T
+    pose[:3, 3] = -pose[:3, :3] @ (scale * (turn @ camera.position + shift))
+    return replace(camera, camera_from_world=pose)
+
+
+def _is_nerfstudio(splat_file):
+    if splat_file.suffix.lower() != ".ply":
+        return False
+    with open(splat_file, "rb") as file:
+        if not file.read(4).startswith((b"ply\n", b"ply\r")):
+            return False
+        file.seek(0)
+        return NERFSTUDIO_AXIS in (c.lower() for c in read_header(splat_file, file).comments)
