@@ -27,8 +27,11 @@ class RainyPairs:
         return read_pair(self.folder, self.rate, self.names[index])
 
 
-def main(folder="pairs", rate=50.0, batch=2, sensor=None):
-    """Export a few pairs if there are none, load them in batches, and say how rain changes them."""
+def main(folder="pairs", rate=50.0, batch=2, sensor=None, workers=0):
+    """Export a few pairs if there are none, load them in batches, and say how rain changes them.
+
+    Workers are spawned: torch forks them on Linux, which ends those that run compiled kernels.
+    """
     from torch.utils.data import DataLoader
 
     if not (Path(folder) / "card.json").exists():
@@ -36,7 +39,10 @@ def main(folder="pairs", rate=50.0, batch=2, sensor=None):
         command += ["--rain", f"0,{rate:g}", "--out", str(folder)]
         subprocess.run([sys.executable, "-m", "rainsim", *command], check=True)
     pairs = RainyPairs(folder, rate, sensor=sensor)
-    for items in DataLoader(pairs, batch_size=batch, shuffle=True):
+    context = "spawn" if workers else None
+    for items in DataLoader(
+        pairs, batch, True, num_workers=workers, multiprocessing_context=context
+    ):
         change = 255 * (items["rainy"] - items["clear"]).abs().mean()
         print(f"{tuple(items['rainy'].shape)}: mean change {change:.1f} of 255")
     return items

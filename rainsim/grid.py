@@ -27,6 +27,7 @@ from rainsim.errors import (
     require_positive,
 )
 from rainsim.io.states import digest, read_solver, write_solver
+from rainsim.jit import one_caller
 from rainsim.ledger import Ledger
 from rainsim.water.choose import MAX_COURANT, SCHEMES, choose
 from rainsim.water.conditions import apply_conditions, let_in, longest_step, place_all
@@ -173,6 +174,7 @@ class WaterSolver:
 
     # -- state ---------------------------------------------------------------------------------
 
+    @one_caller
     def set_state(self, depth, u=None, v=None):
         """Set depth and velocity, and open a new ledger at time 0.
 
@@ -272,6 +274,7 @@ class WaterSolver:
 
     # -- time ----------------------------------------------------------------------------------
 
+    @one_caller
     def advance(self, duration, rain=0.0, progress=None):
         """Advance by `duration` [s] under `rain` (a rate [m/s], a map of rates or a `Series`).
 
@@ -391,6 +394,7 @@ class WaterSolver:
         """Write the whole state to a file (.npz), from which `load` goes on to the same bytes."""
         write_solver(path, self._made_of(), self._saved())
 
+    @one_caller
     def load(self, path):
         """Take the state that `save` wrote; this solver must be made as that one was."""
         found = read_solver(path, self._made_of(), self._saved())

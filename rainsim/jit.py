@@ -4,7 +4,11 @@
 `cpu_kernel` is a parallel loop, `serial_kernel` a loop on one thread that may run beside others.
 """
 
+import contextlib
 import functools
+import os
+import sys
+import threading
 
 from rainsim.compiling.folder import CACHE_FOLDER  # before numba: it sets where numba looks
 
@@ -133,6 +137,7 @@ __all__ = [
     "lean_function",
     "may_run_beside",
     "none_taken",
+    "one_caller",
     "prange",
     "serial_kernel",
     "take_next",
@@ -176,6 +181,47 @@ def may_run_beside():
         return numba.threading_layer() != "workqueue"
     except ValueError:
         return False
+
+
+def _warn_before_fork():
+    """Print one line where a process forks whose kernels OpenMP runs: GNU's ends the children.
+
+    A pool then starts new ones and waits for ever, so this is the last moment to say it.
+    """
+    global _has_warned
+    try:
+        layer = numba.threading_layer()  # known once a kernel has run
+    except ValueError:
+        return
+    if layer == "omp" and not _has_warned:
+        _has_warned = True
+        print(
+            "rainsim: this process forks after compiled kernels have run; OpenMP ends a forked "
+            'process that runs one; start workers by "spawn", as '
+            'torch.utils.data.DataLoader(..., multiprocessing_context="spawn")',
+            file=sys.stderr,
+        )
+
+
+_has_warned = False
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_warn_before_fork)
+
+_alone = threading.RLock()
+
+
+def one_caller(method):
+    """Let one thread at a time call a method, where kernels may not run beside others.
+
+    So two threads may each advance a solver of their own under any threading layer.
+    """
+
+    @functools.wraps(method)
+    def call(*given, **named):
+        with contextlib.nullcontext() if may_run_beside() else _alone:
+            return method(*given, **named)
+
+    return call
 
 
 def processor():
