@@ -34,7 +34,8 @@ JSON_FILES = ("cameras.json", "transforms.json")  # looked for in a folder, in t
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 MIRROR_CLEARANCE = 0.015  # m above the water: lower things cannot be distinguished from the ground
 PLACED = "choose another view, --width or --height"
-PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
+# Models whose poses and focal lengths are a pinhole's; their distortion is left out and said.
+PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "OPENCV_FISHEYE")
 
 
 def read_cameras(path):
@@ -100,6 +101,8 @@ def _distortion_notes(data):
         return []
     entries = [data, *(f for f in data.get("frames") or () if isinstance(f, dict))]
     bent = sorted({key for entry in entries for key in DISTORTION if json_number(entry.get(key))})
+    if any(entry.get("camera_model") == "OPENCV_FISHEYE" for entry in entries):
+        bent = ["OPENCV_FISHEYE", *bent]
     if not bent:
         return []
     return [

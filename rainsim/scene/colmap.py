@@ -20,6 +20,7 @@ from rainsim.scene.camera_rule import require_camera
 from rainsim.scene.types import Camera
 
 PLACES = ("", "0", "sparse/0", "sparse", "colmap/sparse/0", "distorted/sparse/0")
+NUMBERED = "[0-9]*"  # folders of one solver's models, the largest of which is taken
 MODEL_FILES = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
 MOST_TEXT = 1 << 32  # bytes of a model as text; it lists each point that an image shows
 REMEDY = "export the model from COLMAP again"
@@ -40,7 +41,13 @@ MODELS = {
     "RADIAL_FISHEYE": (9, 5, False, True),
     "THIN_PRISM_FISHEYE": (10, 12, True, True),
     "RAD_TAN_THIN_PRISM_FISHEYE": (11, 16, True, True),
+    "SIMPLE_DIVISION": (12, 4, False, True),
+    "DIVISION": (13, 5, True, True),
+    "SIMPLE_FISHEYE": (14, 3, False, True),
+    "FISHEYE": (15, 4, True, True),
+    "EUCM": (16, 6, True, True),
 }
+PANORAMA = 17, "EQUIRECTANGULAR"  # has no focal length
 NAMES = {number: name for name, (number, *_) in MODELS.items()}
 
 
@@ -65,8 +72,21 @@ def find_model(folder):
     for place in PLACES:
         found = Path(folder) / place
         if any(_has_model(found, suffix) for suffix in (".bin", ".txt")):
-            return found
+            beside = _beside(found) if found.name == "0" else []
+            return max(beside, key=_size, default=found)
     return None
+
+
+def _beside(found):
+    """Return the numbered models in a folder of models: a solver splits what does not connect."""
+    models = sorted(path for path in found.parent.glob(NUMBERED) if path.name.isdecimal())
+    return [path for path in models if any(_has_model(path, end) for end in (".bin", ".txt"))]
+
+
+def _size(model):
+    """Return the bytes of a model's images, which grow with their number, and prefer the first."""
+    found = (model / f"images{suffix}" for suffix in (".bin", ".txt"))
+    return max(path.stat().st_size for path in found if path.is_file())
 
 
 def _has_model(folder, suffix):
@@ -113,7 +133,15 @@ def read_model(folder):
     cameras = [
         _camera(image_file, image, lenses, name) for image, name in zip(images, names, strict=True)
     ]
-    return cameras, _lens_notes(lenses[image.lens] for image in images)
+    notes = _lens_notes(lenses[image.lens] for image in images)
+    chosen = found.name.isdecimal() and found != Path(folder)
+    others = len(_beside(found)) - 1 if chosen else 0
+    if others > 0:
+        notes.append(
+            f"the solver left {others + 1} models; the largest, {found.parent.name}/{found.name} "
+            f"of {len(images)} images, is taken"
+        )
+    return cameras, notes
 
 
 def read_lenses(folder):
@@ -195,6 +223,13 @@ def _rotation(turn):
     ])  # fmt: skip
 
 
+def _no_pinhole(path, number):
+    return InputError(
+        f"{path}: camera {number} is {PANORAMA[1]}, a panorama all around; pictures are drawn by "
+        "pinhole cameras; cut it into such views (as cubemaps) and solve those"
+    )
+
+
 # --- binary ---------------------------------------------------------------------------------------
 
 
@@ -241,6 +276,8 @@ def _lenses(path, data):
     lenses = {}
     for _ in range(data.take("<Q")[0]):  # a count that is too large ends in struct.error
         number, model, width, height = data.take("<IiQQ")
+        if model == PANORAMA[0]:
+            raise _no_pinhole(path, number)
         if model not in NAMES:
             raise InputError(
                 f"{path}: camera {number} has the model {model}; models 0 to {max(NAMES)} are "
@@ -282,6 +319,8 @@ def _text_lenses(path):
             continue
         try:
             number, model, width, height, *values = line.split()
+            if model == PANORAMA[1]:
+                raise _no_pinhole(path, number)
             lens = _Lens(model, int(width), int(height), tuple(map(float, values)))
             if len(values) != MODELS[model][1] or max(lens.width, lens.height) > 1 << 63:
                 raise ValueError

@@ -16,7 +16,7 @@ from rainsim.errors import ParameterError
 from rainsim.render.labels import NO_FLOW, OUTSIDE
 from rainsim.scene.view import image_point, slopes
 
-MODELS = {"opencv": (4, 5), "fisheye": (4,)}  # numbers of coefficients
+MODELS = {"opencv": (4, 5), "fisheye": (4,), "division": (1,), "eucm": (2,)}  # coefficients
 WIDEST = math.tan(math.radians(80))  # off the axis that a pinhole picture is drawn to
 STEPS, CLOSE = 60, 1e-10  # of the inversion, in units of the focal length
 BEYOND = 1.25  # times the picture's farthest ray up to which flow trusts a polynomial outside it
@@ -32,9 +32,11 @@ class Lens:
     Attributes
     ----------
     model : str
-        "opencv" is radial and tangential, "fisheye" has the angle off the axis as a polynomial.
+        "opencv" is radial and tangential, "fisheye" has the angle off the axis as a polynomial,
+        "division" has r / (1 + k r^2) for the pinhole's distance from the axis, "eucm" is the
+        enhanced unified model.
     values : tuple of float
-        k1, k2, p1, p2 and optionally k3; of a fisheye k1 to k4.
+        k1, k2, p1, p2 and optionally k3; of a fisheye k1 to k4, else k; alpha and beta.
 
     Examples
     --------
@@ -45,7 +47,8 @@ class Lens:
     References
     ----------
     https://docs.opencv.org/4.x/d9/d0c/group__calib3d.html and
-    https://docs.opencv.org/4.x/db/d58/group__calib3d__fisheye.html
+    https://docs.opencv.org/4.x/db/d58/group__calib3d__fisheye.html; Fitzgibbon, 2001 (division);
+    Khomutenko, Garcia and Martinet, 2016 (enhanced unified); all as COLMAP has them.
     """
 
     model: str
@@ -73,13 +76,26 @@ class Lens:
             bent = angle * _polynomial(self.values, angle * angle)
             scale = np.where(r > 1e-12, bent / np.maximum(r, 1e-12), 1.0)
             return x * scale, y * scale
-        k1, k2, p1, p2, k3 = (*self.values, 0.0)[:5]
         r2 = x * x + y * y
+        if self.model in ("division", "eucm"):
+            with np.errstate(invalid="ignore"):  # NaN where the lens sees nothing
+                scale = self._division(r2) if self.model == "division" else self._unified(r2)
+            return x * scale, y * scale
+        k1, k2, p1, p2, k3 = (*self.values, 0.0)[:5]
         radial = _polynomial((k1, k2, k3), r2)
         return (
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         )
+
+    def _division(self, squared):
+        """Return distorted over pinhole distance; the root that is 1 on the axis."""
+        return 2 / (1 + np.sqrt(1 - 4 * self.values[0] * squared))
+
+    def _unified(self, squared):
+        """Return distorted over pinhole distance."""
+        alpha, beta = self.values
+        return 1 / (alpha * np.sqrt(beta * squared + 1) + 1 - alpha)
 
     def undistort(self, x, y):
         """Return the pinhole's place of a distorted one, NaN where there is none.
@@ -89,6 +105,18 @@ class Lens:
         if self.model == "fisheye":
             return self._unbent(np.asarray(x, float), np.asarray(y, float))
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        if self.model == "division":
+            scale = 1 + self.values[0] * (x * x + y * y)
+            scale = np.where(scale > 0, scale, np.nan)
+            return x / scale, y / scale
+        if self.model == "eucm":
+            alpha, beta = self.values
+            squared = x * x + y * y
+            with np.errstate(invalid="ignore", divide="ignore"):
+                root = np.sqrt(1 - (2 * alpha - 1) * beta * squared)
+                ahead = (1 - beta * alpha**2 * squared) / (alpha * root + 1 - alpha)
+            ahead = np.where(ahead > 0, ahead, np.nan)
+            return x / ahead, y / ahead
         u, v, step = x.copy(), y.copy(), 1e-6
         for _ in range(STEPS):
             a, b = self.distort(u, v)
@@ -117,6 +145,9 @@ class Lens:
 
         At most WIDEST. Beyond it the polynomial leads back, and places belong to no ray.
         """
+        if self.model in ("division", "eucm"):  # both grow all the way
+            bends_back = self.model == "division" and self.values[0] > 0
+            return min(0.5 / math.sqrt(self.values[0]), WIDEST) if bends_back else WIDEST
         fisheye = self.model == "fisheye"
         radial = self.values if fisheye else (*self.values[:2], *self.values[4:])
         slope = [(2 * k + 3) * c for k, c in enumerate(radial)]
@@ -158,7 +189,8 @@ def lens_of(text):
         values = tuple(float(number) for number in numbers.split(","))
     except ValueError:
         raise ParameterError(
-            f"lens is {text!r}; it must be opencv:k1,k2,p1,p2[,k3] or fisheye:k1,k2,k3,k4"
+            f"lens is {text!r}; it must be opencv:k1,k2,p1,p2[,k3], fisheye:k1,k2,k3,k4, "
+            "division:k or eucm:alpha,beta"
         ) from None
     return Lens(model, values)
 

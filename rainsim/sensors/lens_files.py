@@ -9,7 +9,8 @@ from rainsim.io.files import json_number, read_json
 from rainsim.scene.colmap import find_model, read_lenses
 from rainsim.sensors.lens import Lens, lens_of
 
-FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE",
+            "FISHEYE")  # fmt: skip
 OPENCV_KEYS, FISHEYE_KEYS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
 SAME = "all must be of one lens; give its coefficients, such as opencv:k1,k2,p1,p2"
 
@@ -30,8 +31,8 @@ def lens_named(text):
         lenses = _of_transforms(path)
     else:
         raise ParameterError(
-            f"lens is {text!r}; it must be opencv:k1,k2,p1,p2[,k3], fisheye:k1,k2,k3,k4, or name a "
-            "transforms.json or the folder of a COLMAP model"
+            f"lens is {text!r}; it must be opencv:k1,k2,p1,p2[,k3], fisheye:k1,k2,k3,k4, "
+            "division:k, eucm:alpha,beta, or name a transforms.json or the folder of a COLMAP model"
         )
     if len(lenses) != 1:
         raise InputError(f"{path} has cameras of {len(lenses)} lenses; {SAME}")
@@ -46,11 +47,16 @@ def _of_colmap(path, model, values):
         return Lens("fisheye", (*values, 0.0, 0.0, 0.0)[:4])
     if model in ("SIMPLE_RADIAL", "RADIAL"):
         return Lens("opencv", ((*values, 0.0)[0], (*values, 0.0)[1], 0.0, 0.0))
+    if model in ("SIMPLE_DIVISION", "DIVISION"):
+        return Lens("division", values)
+    if model == "EUCM":
+        return Lens("eucm", values)
     if model == "OPENCV" or (model == "FULL_OPENCV" and not any(values[5:])):
         return Lens("opencv", values[:5])
     raise InputError(
-        f"{path} has cameras of the model {model}; OPENCV, RADIAL and the fisheyes OPENCV_FISHEYE "
-        "and RADIAL_FISHEYE are drawn; undistort it to one of these, or leave out --lens"
+        f"{path} has cameras of the model {model}; OPENCV, RADIAL, DIVISION, EUCM and the "
+        "fisheyes OPENCV_FISHEYE, RADIAL_FISHEYE and FISHEYE are drawn; undistort it to one of "
+        "these, or leave out --lens"
     )
 
 

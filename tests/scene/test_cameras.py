@@ -168,9 +168,16 @@ BAD = {
     "mirrored": ([{**CAPTURE, "rotation": np.diag([1, 1, -1]).tolist()}], "mirroring"),
     "no size": ({**NERF, "w": None}, "frame 0: w is missing"),
     "no focal": ({**NERF, "fl_x": None, "fl_y": None}, "fl_x is missing; .* camera_angle_x"),
-    "fisheye": ({**NERF, "camera_model": "OPENCV_FISHEYE"}, "camera_model is 'OPENCV_FISHEYE'"),
+    "panorama": ({**NERF, "camera_model": "EQUIRECTANGULAR"}, "camera_model is 'EQUIRECTANGULAR'"),
     "angle": ({**NERF, "fl_x": None, "camera_angle_x": 4}, "camera_angle_x is 4"),
 }  # fmt: skip
+
+
+def test_the_lens_of_a_fisheye_is_left_out_and_said(tmp_path):
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps({**NERF, "camera_model": "OPENCV_FISHEYE"}))
+    cameras, notes = load_cameras(path)
+    assert len(cameras) == 1 and "OPENCV_FISHEYE" in notes[0] and "pinhole" in notes[0]
 
 
 @pytest.mark.parametrize("case", BAD)

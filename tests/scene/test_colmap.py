@@ -41,6 +41,11 @@ LENSES = {
     "RADIAL_FISHEYE": (9, (50.0, 32.0, 24.0, 0.0, 0.0), True),
     "THIN_PRISM_FISHEYE": (10, (50.0, 51.0, 32.0, 24.0, *[0.0] * 8), True),
     "RAD_TAN_THIN_PRISM_FISHEYE": (11, (50.0, 51.0, 32.0, 24.0, *[0.0] * 12), True),
+    "SIMPLE_DIVISION": (12, (50.0, 32.0, 24.0, -0.1), True),
+    "DIVISION": (13, (50.0, 51.0, 32.0, 24.0, 0.0), False),
+    "SIMPLE_FISHEYE": (14, (50.0, 32.0, 24.0), True),
+    "FISHEYE": (15, (50.0, 51.0, 32.0, 24.0), True),
+    "EUCM": (16, (50.0, 51.0, 32.0, 24.0, 0.5, 1.0), True),
 }
 
 
@@ -53,6 +58,23 @@ def test_distortion_is_ignored_and_said(tmp_path, model, write):
     assert (cameras[0].fx, cameras[0].cx, cameras[0].cy) == (50, 32, 24)
     assert cameras[0].fy == (51 if values[1] == 51 else 50)
     assert len(notes) == bent and all(model in note and "distortion" in note for note in notes)
+
+
+@pytest.mark.parametrize("write", [made.colmap_binary, made.colmap_text])
+def test_a_panorama_is_named_as_what_it_is(tmp_path, write):
+    write(tmp_path, ring(count=2), ("EQUIRECTANGULAR", 17, ()))
+    with pytest.raises(InputError, match="EQUIRECTANGULAR, a panorama"):
+        load_cameras(tmp_path)
+
+
+def test_the_largest_of_a_solvers_models_is_taken_and_said(tmp_path):
+    for name, count in (("0", 2), ("1", 5), ("2", 3), ("old", 9)):
+        made.colmap_binary(tmp_path / "sparse" / name, ring(count=count))
+    for given in (tmp_path, tmp_path / "sparse"):
+        cameras, notes = load_cameras(given)
+        assert len(cameras) == 5 and "left 3 models; the largest, sparse/1 of 5" in notes[0]
+    cameras, notes = load_cameras(tmp_path / "sparse" / "2")  # who names one gets that one
+    assert len(cameras) == 3 and not notes
 
 
 def test_models_are_found_where_tools_leave_them(tmp_path):

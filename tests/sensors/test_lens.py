@@ -22,8 +22,29 @@ LENSES = [
     Lens("opencv", (-0.28, 0.09, 0.001, -0.0015)),
     Lens("opencv", (0.15, 0.02, -0.001, 0.002, 0.01)),
     Lens("fisheye", (0.03, -0.01, 0.004, -0.001)),
+    Lens("division", (-0.2,)),
+    Lens("division", (0.15,)),
+    Lens("eucm", (0.6, 1.1)),
 ]
-IDS = ["barrel", "pincushion", "fisheye"]
+IDS = ["barrel", "pincushion", "fisheye", "division", "division in", "unified"]
+# Pixels of pycolmap 4.2.1 (COLMAP's own library), and the rays that it gives for them.
+COLMAP_RAYS = {
+    ("DIVISION", 13, (300.0, 310.0, 320.0, 240.0, -0.2)): [
+        [-1.23074539957, -0.765671101115],
+        [0.0, 0.0],
+        [0.691360274722, 0.631888423133],
+    ],
+    ("SIMPLE_FISHEYE", 14, (300.0, 320.0, 240.0)): [
+        [-1.692524204476, -1.088051274306],
+        [0.0, 0.0],
+        [0.78746755476, 0.743719357274],
+    ],
+    ("EUCM", 16, (300.0, 310.0, 320.0, 240.0, 0.6, 1.1)): [
+        [-1.635894145058, -1.017722163976],
+        [0.0, 0.0],
+        [0.775793346867, 0.709058435308],
+    ],
+}
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=IDS)
@@ -34,7 +55,19 @@ def test_rays_come_back(lens, rng):
     assert lens.distort(0.0, 0.0) == (0, 0)
 
 
-@pytest.mark.parametrize("lens", LENSES, ids=IDS)
+@pytest.mark.parametrize("camera", COLMAP_RAYS, ids=lambda camera: camera[0])
+def test_rays_are_those_of_colmap(tmp_path, camera):
+    values = camera[2]
+    made.colmap_binary(tmp_path, ring(count=2), camera)
+    fy = values[1] if len(values) > 3 else values[0]
+    pixels = np.array([[40.0, 60.0], [320.0, 240.0], [500.0, 410.0]])
+    found = lens_named(str(tmp_path)).undistort(
+        (pixels[:, 0] - 320) / values[0], (pixels[:, 1] - 240) / fy
+    )
+    np.testing.assert_allclose(np.transpose(found), COLMAP_RAYS[camera], atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", LENSES[:3], ids=IDS[:3])
 def test_as_opencv_distorts(lens, rng):
     cv2 = pytest.importorskip("cv2")
     points = np.column_stack([*rng.uniform(-0.6, 0.6, (2, 50)), np.ones(50)])
@@ -203,7 +236,7 @@ def test_no_flow_leads_past_the_lens():
     assert (mask[~past] == OUTSIDE).all() and np.abs(flow[~past]).max() > 20
 
 
-@pytest.mark.parametrize("lens", [*LENSES[1:], Lens("opencv", (0.0, 0.1, 0.0, 0.0))])
+@pytest.mark.parametrize("lens", [*LENSES[1:3], Lens("opencv", (0.0, 0.1, 0.0, 0.0))])
 def test_flow_leads_only_so_far_out_of_the_picture(lens):
     """A polynomial that never turns back is not trusted far outside the picture, nearby it is."""
     assert lens.reach == pytest.approx(WIDEST)
