@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 from collections import Counter
 
 import numpy as np
 
 from rainsim.errors import InputError, ParameterError, require_not_negative, require_positive
-from rainsim.io.files import read_text, replacing
-from rainsim.water.series import MOST_TABLE
+from rainsim.io.files import replacing
+from rainsim.water.series import table_of
 
 DIGITS = 1e-8  # relative: a table has nine digits
 
@@ -141,8 +140,7 @@ class Gauges:
         InputError
             If the file is no such table, or one of other gauges.
         """
-        table = list(csv.reader(io.StringIO(read_text(path, "table", MOST_TABLE))))
-        names, *rows = table or [[]]
+        names, *rows = table_of(path) or [[]]
         try:
             rows = [[float(number) for number in row] for row in rows]
         except ValueError:

@@ -104,6 +104,14 @@ def rain_pieces(rain, start, end):
     return pieces
 
 
+def table_of(path):
+    """Return the lines of a CSV file, lists of str, or raise InputError."""
+    try:
+        return list(csv.reader(io.StringIO(read_text(path, "table", MOST_TABLE))))
+    except csv.Error as fault:  # a zero byte, a field of more than 131,072 characters
+        raise InputError(f"{path} is no CSV table ({fault}); write it again") from None
+
+
 def read_series(path, column=None, factor=1.0, holds=False):
     """Read a `Series` from a CSV table with a line of names, the time [s] in its first column.
 
@@ -132,7 +140,7 @@ def read_series(path, column=None, factor=1.0, holds=False):
     >>> round(solver.advance(3.6, rain=rain).ledger.rain / 16 * 1000, 6)  # mm
     0.02
     """
-    rows = list(csv.reader(io.StringIO(read_text(path, "table", MOST_TABLE))))
+    rows = table_of(path)
     rows = [row for row in rows if any(cell.strip() for cell in row)]
     if len(rows) < 2 or len(rows[0]) < 2:
         raise InputError(

@@ -182,6 +182,8 @@ def test_a_table_of_rain_is_read(tmp_path):
         ("time_s,rain\n", "no table"),
         ("time_s,rain\n0,1\n1,x\n", "line 3 of .* has no number.*'rain'"),
         ("time_s,rain\n0\n", "line 2"),
+        ("time_s,rain\n0,\u00b2\n", "line 2 of .* has no number"),
+        ('time_s,rain\n0,"' + 200_000 * "1", "no CSV table"),
         ("time_s,rain\n5,1\n1,2\n", "1 s of a series follows 5"),
         ("time_s,rain\n0,1\n", "no column 'snow'; it has rain"),
     ],
