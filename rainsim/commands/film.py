@@ -272,8 +272,10 @@ def render(
         path = view_on(loaded, ground, cameras, config, given, status)
         _say_memory(status, loaded, ground, path, names, exr, optics, backend)
 
+        folder = states.resolve()  # workers are elsewhere
+
         def state_of(index):
-            return read_state(_state_file(states, index), ground)
+            return read_state(_state_file(folder, index), ground)
 
         more = {"states": state_of, "exr": exr, "optics": optics}
         return path, FrameSequence(loaded, ground, path, config, backend, names, **more)

@@ -36,7 +36,6 @@ SPARE = {
     "distributed.scheduler.http.routes": [], "distributed.worker.http.routes": [],
     "distributed.worker.profile.enabled": False, "distributed.nanny.pre-spawn-environ": {},
 }  # fmt: skip
-NO_ENGINE = 'workers need dask.distributed, which is not installed; pip install "rainsim[farm]"'
 
 
 def require():
@@ -44,7 +43,9 @@ def require():
     try:
         import distributed
     except ImportError:
-        raise BackendError(NO_ENGINE) from None
+        raise BackendError(
+            'workers need dask.distributed, which is not installed; pip install "rainsim[farm]"'
+        ) from None
     return distributed
 
 
@@ -223,10 +224,17 @@ def draw_with_workers(client, sequence, run, resume, status, threads=None):
 
 def _wait(client, parts, journal, missing, total, status):
     """Wait for all parts, and show what is drawn; RainsimError for the first that failed."""
-    before, told, idle = journal.entries(), set(), 0.0
-    while True:
+    before, told, idle, is_over = journal.entries(), set(), 0.0, False
+    while not is_over:
+        time.sleep(POLL)
         is_over = all(future.done() for future in parts.values())
-        idle = 0.0 if _is_worked_on(client) else idle + POLL
+        try:
+            idle = 0.0 if client.nthreads() else idle + POLL
+        except (OSError, TimeoutError) as error:
+            raise BackendError(
+                f"the scheduler is gone ({error}); it must run to the end; start it again and go "
+                "on with --resume"
+            ) from None
         if idle > PATIENCE:
             raise BackendError("no worker is left; start workers, and go on with --resume")
         entries = journal.entries()
@@ -235,25 +243,11 @@ def _wait(client, parts, journal, missing, total, status):
                 status.notes(entries[index]["notes"])
                 told.add(index)
         status.progress("frames", total - len(missing) + len(told), total)
-        if is_over:
-            break
-        time.sleep(POLL)
     for (first, end), future in parts.items():
-        fault = future.exception()
-        if fault is not None:
+        if future.status != "finished":
+            why = future.exception() or ConnectionError("its worker is gone")
             raise RainsimError(
                 f"frames {first} to {end - 1} were not all drawn by their worker "
-                f"({type(fault).__name__}: {one_line(str(fault))}); frames that are finished are "
-                "kept; go on with --resume"
+                f"({type(why).__name__}: {one_line(str(why))}); frames that are finished are kept; "
+                "go on with --resume"
             )
-
-
-def _is_worked_on(client):
-    """Whether there are workers; BackendError if the scheduler is gone."""
-    try:
-        return bool(client.nthreads())
-    except (OSError, TimeoutError) as error:
-        raise BackendError(
-            f"the scheduler is gone ({error}); it must run to the end; start it again and go on "
-            "with --resume"
-        ) from None

@@ -47,8 +47,8 @@ def claimed(path, overwrite=False, resume=False, sources=(), shared=False):
             yield path
     except ClaimedError as error:
         raise ParameterError(
-            f"another run writes to output folder {path} ({error}); each run needs its own, or "
-            "all that share one a --frame-range; give another --out, or remove "
+            f"another run writes to output folder {path} ({error}); each run needs its own, and "
+            "processes that share a run all have a --frame-range; give another --out, or remove "
             f"{path / CLAIM} if that run has ended"
         ) from None
     finally:
