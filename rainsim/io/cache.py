@@ -140,7 +140,9 @@ def read(kind, name):
         # A byte that changed is found by the file's checksums.
         with open(path, "rb") as file, np.load(file) as entry:
             arrays = {key: entry[key] for key in entry.files}
-        facts = json.loads(arrays.pop(FACTS).item())
+        facts, names = json.loads(arrays.pop(FACTS).item())
+        if list(arrays) != names:  # the file's table of contents has no checksum
+            raise ValueError("damaged")
     except FileNotFoundError:
         return None
     except Exception:  # of any kind: the file is damaged
@@ -165,7 +167,7 @@ def write(kind, name, facts, arrays):
         at.mkdir(parents=True, exist_ok=True)
         if _make_room(at, sum(array.nbytes for array in arrays.values())):
             with replacing(at / f"{kind}-{name}{SUFFIX}") as path, open(path, "wb") as file:
-                np.savez(file, **{FACTS: json.dumps(facts)}, **arrays)
+                np.savez(file, **{FACTS: json.dumps([facts, list(arrays)])}, **arrays)
     except OSError:
         pass
 

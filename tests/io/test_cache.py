@@ -72,6 +72,23 @@ def test_an_entry_comes_back_to_the_byte(folder, rng):
     assert [path.name for path in folder.iterdir()] == ["test-name.kept"]
 
 
+def test_a_flipped_bit_anywhere_gives_the_same_or_nothing(folder):
+    arrays = {"one": np.arange(9.0), "two": np.zeros((2, 3), np.float32)}
+    cache.write("test", "name", {"a": [1, "x"]}, arrays)
+    path = folder / "test-name.kept"
+    content, dropped = path.read_bytes(), 0
+    for place in range(len(content)):
+        damaged = bytearray(content)
+        damaged[place] ^= 0x81
+        path.write_bytes(damaged)
+        found = cache.read("test", "name")
+        dropped += found is None
+        assert found is None or found[0] == {"a": [1, "x"]}
+        for name, array in arrays.items() if found else ():
+            same(found[1][name], array)
+    assert dropped > len(content) / 3
+
+
 @pytest.mark.parametrize(
     "flipped, length", [*((k, None) for k in (0, 200, 700, -5)),
                         *((None, n) for n in (0, 5, 60, 300, -1))],
