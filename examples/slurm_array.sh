@@ -3,9 +3,9 @@
 #
 # Every task of the array runs the same command but for its --frame-range, into one folder that all
 # machines see. The task that finishes the last frame writes preview, video and record. A task that
-# is killed or runs out of time loses at most the frames that it was drawing: submit the same script
+# is killed or runs out of time loses at most the frame that it was drawing: submit the same script
 # again, with all tasks or with any of them, until `"complete": true` stands in
-# wet/provenance.json. Tasks may overlap, and more of them may be added while others run.
+# wet/provenance.json. With --resume a task also draws what an earlier one left undone.
 
 #SBATCH --job-name=rainsim
 #SBATCH --array=0-7            # eight tasks, each with an eighth of the frames
@@ -26,4 +26,4 @@ END=$((FRAMES * (TASK + 1) / TASKS))  # not included
 export NUMBA_CACHE_DIR=${NUMBA_CACHE_DIR:-$HOME/.cache/rainsim-kernels}
 
 rainsim run --scene garden/ --preset moderate --orbit --frames "$FRAMES" \
-    --frame-range "$FIRST:$END" --threads "${SLURM_CPUS_PER_TASK:-1}" --out wet
+    --frame-range "$FIRST:$END" --threads "${SLURM_CPUS_PER_TASK:-1}" --resume --out wet

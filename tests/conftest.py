@@ -209,11 +209,11 @@ def captures_seen_once():
             known[name] = compute()
         return known[name]
 
-    def kept_arrays(kind, stage, compute, *inputs):
+    def kept_arrays(kind, compute, *inputs):
         if cache.folder() or kind != "skyline":
-            return keep(kind, stage, compute, *inputs)
+            return keep(kind, compute, *inputs)
         now = constants(environment, skyline)
-        return once(cache.name_of(stage, *inputs, now), compute)
+        return once(cache.name_of(*inputs, now), compute)
 
     def find_surface(scene):
         if cache.folder():

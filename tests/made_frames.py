@@ -62,8 +62,3 @@ class MadeUpFrames:
         except FileExistsError:
             return False
         return True
-
-
-def sees_nothing(path, text):
-    """In place of `rainsim.farm.worker.sees`: a worker on another machine without a common disk."""
-    return False

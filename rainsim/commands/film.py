@@ -39,7 +39,7 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @shot_options
 @options.big_options
 @options.backend_option
-@options.shared_range_options
+@options.shared_range_option
 @options.farm_options
 @options.ground_options
 @options.terrain_options
@@ -48,8 +48,8 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-PRESET")
 def run(
-    scene, preset, out, overwrite, resume, as_json, quiet, video, layers, backend, stale,
-    class_mask, **given,
+    scene, preset, out, overwrite, resume, as_json, quiet, video, layers, backend, class_mask,
+    **given,
 ):  # fmt: skip
     """Draw a scene in the rain, all steps from a capture to frames.
 
@@ -87,7 +87,7 @@ def run(
         content = {"layers": names, "backend": backend, **masks_named(class_mask, given)}
         content |= content_of(exr, optics)
         files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
-        files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
+        files |= {"as_json": as_json, "farm": (given, backend, pool)}
         files["sources"] = [loaded.source, class_mask, *paths_in(given)]
         _write_frames(status, film, loaded, config, preset, content, **files)
 
@@ -216,13 +216,13 @@ def _write_simulation(out, source, map_file, record, config, preset, origin):
 @shot_options
 @options.big_options
 @options.backend_option
-@options.shared_range_options
+@options.shared_range_option
 @options.farm_options
 @options.ground_options
 @options.resume_option
 @options.output_options("rainsim-out/STATES-frames")
 def render(
-    states, scene, out, overwrite, resume, as_json, quiet, video, layers, backend, stale, **given
+    states, scene, out, overwrite, resume, as_json, quiet, video, layers, backend, **given
 ):  # fmt: skip
     """Draw frames from STATES, a folder that `rainsim simulate` wrote, for any camera.
 
@@ -272,8 +272,10 @@ def render(
         path = view_on(loaded, ground, cameras, config, given, status)
         _say_memory(status, loaded, ground, path, names, exr, optics, backend)
 
+        folder = states.resolve()  # workers are elsewhere
+
         def state_of(index):
-            return read_state(_state_file(states, index), ground)
+            return read_state(_state_file(folder, index), ground)
 
         more = {"states": state_of, "exr": exr, "optics": optics}
         return path, FrameSequence(loaded, ground, path, config, backend, names, **more)
@@ -287,7 +289,7 @@ def render(
     files["sources"] = [states, loaded.source, *paths_in(given)]
     uses = uses_of(loaded.source or loaded.name, config, names, backend)
     with status, compiled_beside(status, uses, config.threads) as pool:
-        files |= {"stale": stale, "as_json": as_json, "farm": (given, backend, pool)}
+        files |= {"as_json": as_json, "farm": (given, backend, pool)}
         _write_frames(status, film, loaded, config, preset, content, **files)
 
 
@@ -395,7 +397,7 @@ def _say_moments(status, config):
 
 def _write_frames(
     status, film, scene, config, preset, content, *,
-    out, overwrite, resume, sources, video, stale, farm, as_json,
+    out, overwrite, resume, sources, video, farm, as_json,
 ):  # fmt: skip
     """Draw frames into the folder `out` and say how it went.
 
@@ -406,11 +408,10 @@ def _write_frames(
     from dataclasses import replace
 
     from rainsim import output_folder
-    from rainsim.farm.shared_run import joined
     from rainsim.render.frame_files import FRAME, mean_milliseconds
 
     shared = config.frame_range is not None and not overwrite
-    with joined(out) if shared else output_folder.claimed(out, overwrite, resume, sources):
+    with output_folder.claimed(out, overwrite, resume, sources, shared):
         _set_up(config)
         facts = output_folder.settings_facts(config, preset)
         content["settings"] = output_folder.settings_content(config)
@@ -424,7 +425,7 @@ def _write_frames(
         if farm[0].get("workers") or farm[0].get("scheduler"):
             reports = _draw_with_workers(forecast, sequence, run, resume, *farm)
         elif shared:
-            reports = _draw_shared(forecast, sequence, run, stale)
+            reports = _draw_shared(forecast, sequence, run, resume)
         else:
             reports = _draw_alone(forecast, sequence, run, resume)
     total = counted(len(config.indices), "frame")
@@ -458,13 +459,13 @@ def _draw_alone(status, sequence, run, resume):
     return folder.reports
 
 
-def _draw_shared(status, sequence, run, stale):
+def _draw_shared(status, sequence, run, resume):
     """Draw frames of a folder that other processes fill too; return the reports of the range."""
     from rainsim.farm.shared_run import SharedRun
 
-    shared = SharedRun(*run, stale)
+    shared = SharedRun(*run, resume)
     reports = shared.draw(sequence, _then_frames(status, len(run[3].indices)), status.notes)
-    left = shared.left
+    left = shared.complete()
     if left:
         status.say(f"{left} of {sequence.config.frames} frames are still to be drawn elsewhere")
     return reports
@@ -478,7 +479,6 @@ def _draw_with_workers(status, sequence, run, resume, given, backend, pool):
     if address is None and pool is not None:
         pool.join()  # once for all of them
     with client_of(address, given.get("workers"), backend, threads) as client:
-        threads = None if address is None else threads  # the workers here share them
         return draw_with_workers(client, sequence, run, resume, status, threads)
 
 

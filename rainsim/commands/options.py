@@ -324,25 +324,13 @@ range_option = click.option(
     help="Only frames A to B, B excluded; the water is still simulated from frame 0 on.",
 )
 
-shared_range_options = group(
-    click.option(
-        "--frame-range",
-        type=FrameRange(),
-        show_default="all",
-        help="Only frames A to B, B excluded. Other processes, here or on other machines, may draw "
-        "other ranges of the same run into the same folder; who finishes its last frame completes "
-        "it. Ranges may overlap.",
-    ),
-    click.option(
-        "--stale-after",
-        "stale",
-        type=click.FloatRange(1, 86400),
-        metavar="SECONDS",
-        default=60,
-        show_default=True,
-        help="With --frame-range: take over a frame whose process has not been heard of for so "
-        "long.",
-    ),
+shared_range_option = click.option(
+    "--frame-range",
+    type=FrameRange(),
+    show_default="all",
+    help="Only frames A to B, B excluded. Other processes, here or on other machines, may draw "
+    "other ranges of the same run into the same folder; who finishes its last frame completes it. "
+    "A frame has one owner: with --resume what an ended process left undone is drawn.",
 )
 
 farm_options = group(

@@ -1,8 +1,8 @@
 """The package rainsim-kernels: machine code of the recorded kernels that a release compiled.
 
-`pack` makes it. It is loaded from the site-packages of this Python alone, if all versions are those
-that it was made for and the processor has its instructions. This process then compiles for the same
-processor, so that its kernels are of one kind. Nothing here imports numba.
+`benchmarks/pack.py` makes it. It is loaded from the site-packages of this Python alone, if all
+versions are those that it was made for and the processor has its instructions. This process then
+compiles for the same processor, so that its kernels are of one kind. Nothing here imports numba.
 """
 
 import hashlib

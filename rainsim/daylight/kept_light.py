@@ -32,25 +32,15 @@ def kept_relight(scene, config, found, white):
     given = config.render.captured_sun
     sun, shone = (given, True) if given is not None else (sun_by_clock(scene), False)
     white = math.exp(round(math.log(white) / ROUNDING) * ROUNDING)
-    if not cache.folder():
-        return find_relight(scene, found, sun, white, shone)
-    name = cache.name_of(KIND, scene.splats, scene.ground_frame, scene.cameras, sun, white, shone)
-    entry = cache.read(KIND, name)
-    if entry:
-        facts, arrays = entry
-        direction = None if facts["sun"] is None else np.array(facts["sun"])
-        return Relight(
-            arrays.get("gain"), facts["note"], direction, facts["ratio"], facts["confidence"],
-            arrays.get("ground"),
-        )  # fmt: skip
-    relight = find_relight(scene, found, sun, white, shone)
-    facts = {
-        "note": relight.note, "confidence": relight.confidence, "ratio": relight.ratio,
-        "sun": None if relight.sun is None else [float(x) for x in relight.sun],
-    }  # fmt: skip
-    arrays = {"gain": relight.gain, "ground": relight.ground}
-    cache.write(KIND, name, facts, {k: v for k, v in arrays.items() if v is not None})
-    return relight
+
+    def searched():
+        both = vars(find_relight(scene, found, sun, white, shone))
+        arrays = {name: v for name, v in both.items() if isinstance(v, np.ndarray)}
+        return {name: v for name, v in both.items() if name not in arrays}, arrays
+
+    place = scene.splats, scene.ground_frame, scene.cameras
+    facts, arrays = cache.kept(KIND, searched, *place, sun, white, shone)
+    return Relight(**facts, **arrays)
 
 
 def sun_by_clock(scene):

@@ -22,17 +22,18 @@ class ClaimedError(Exception):
 
 
 @contextmanager
-def claim(path, shared=False):
+def claim(path, shared=False, wait=0.0):
     """Hold the claim file `path` until the block ends; its folders are made.
 
     The claim is a lock on the file. It ends with the process, however that ends, so that a claim
     which nobody holds any more is taken over. Where the file system has no locks the file itself is
     the claim, and one that was left behind counts. Other processes may hold a shared one if they
-    share it, too. ClaimedError if another process holds it, or another claim of this process.
+    share it, too. ClaimedError if another process holds it after `wait` [s], or another claim of
+    this process.
     """
     path, file = Path(path), None
-    kind, deadline = (fcntl.LOCK_SH, 1.0) if shared else (fcntl.LOCK_EX, 0.0)
-    deadline += time.monotonic()
+    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    deadline = time.monotonic() + (max(wait, 1.0) if shared else wait)
     while file is None:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -1,32 +1,29 @@
 """Fingerprints: whether two runs would write the same bytes.
 
-A fingerprint is a hash of what the bytes depend on: the content of scene and settings, rainsim's
-own sources, and the versions that change bytes. Names of paths, hosts and systems have no part.
+A fingerprint is a hash of what the bytes depend on: the content of scene and settings, and the
+versions of rainsim and its libraries. Names of paths, hosts and systems have no part.
 """
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 import platform
 from importlib import metadata
-from pathlib import Path
 
+from rainsim import __version__
 from rainsim.io.files import require_file
 
-PACKAGE = Path(__file__).resolve().parent.parent
-SOURCES = (".py", ".toml")
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba", "llvmlite", "pillow", "imageio")
 BLOCK = 1 << 20  # bytes
 
 
 def fingerprint(content):
-    """Return the fingerprint of a run's inputs and code, 64 hexadecimal digits.
+    """Return the fingerprint of a run's inputs and versions, 64 hexadecimal digits.
 
     `content` holds plain JSON values: hashes of files and arrays, settings.
     """
-    return hash_of({"content": content, "sources": sources(), "versions": versions()})
+    return hash_of({"content": content, "rainsim": __version__, "versions": versions()})
 
 
 def hash_of(facts):
@@ -48,17 +45,6 @@ def hash_of_file(path):
     with open(require_file(path, "an input"), "rb") as file:
         while block := file.read(BLOCK):
             digest.update(block)
-    return digest.hexdigest()
-
-
-@functools.cache
-def sources():
-    """Return the SHA-256 of all sources of the package."""
-    digest = hashlib.sha256()
-    for file in sorted(PACKAGE.rglob("*")):
-        if file.suffix in SOURCES:
-            digest.update(f"{file.relative_to(PACKAGE).as_posix()}\n".encode())
-            digest.update(hash_of_file(file).encode())
     return digest.hexdigest()
 
 

@@ -5,12 +5,12 @@ removed or replaced, and only when new results are ready to take their place.
 """
 
 _PUBLIC = {
-    "claims": ("claimed", "relative", "require_no_file"),
+    "claims": ("claimed", "relative"),
     "facts": (
         "cameras_facts", "host_facts", "input_facts", "scene_content", "settings_content",
         "settings_facts", "states_content", "versions",
     ),
-    "frames": ("FrameFolder",),
+    "frames": ("FrameFolder", "complete_film"),
     "names": (
         "CLAIM", "FRAME_FACTS", "JOURNAL", "OURS", "PROVENANCE", "RECORD_VERSION", "STATE",
         "STATE_FACTS", "TEMPORARY", "VERSION", "read_record",

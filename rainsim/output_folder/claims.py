@@ -22,12 +22,13 @@ from rainsim.output_folder.names import (
 
 
 @contextmanager
-def claimed(path, overwrite=False, resume=False, sources=()):
+def claimed(path, overwrite=False, resume=False, sources=(), shared=False):
     """Check and make an output folder and yield it; remove it again if it stays empty.
 
     Folders above it are made, too. With `overwrite` it may hold files already: earlier results are
     replaced, other files stay. With `resume` it may hold an unfinished run, see `Record.resume`.
-    The run reads `sources`: results in the folder are not replaced while they are read.
+    The run reads `sources`: results in the folder are not replaced while they are read. A `shared`
+    folder is joined with others that share it, whatever it holds, see `rainsim.farm.shared_run`.
 
     ParameterError if it holds files and `overwrite` is not set, is no folder, or another run writes
     to it; or if results would replace what the run reads or files that no record of a run lists.
@@ -35,22 +36,24 @@ def claimed(path, overwrite=False, resume=False, sources=()):
     """
     path = Path(path)
     require_no_file(path)
-    _require_empty(path, overwrite or resume)
+    _require_empty(path, overwrite or resume or shared)
     made = [p for p in (path, *path.parents) if not p.exists()]
     try:
-        with claim(path / CLAIM):
-            _require_empty(path, overwrite or resume)  # another run may have been first
+        with claim(path / CLAIM, shared):
+            _require_empty(path, overwrite or resume or shared)  # another run may have been first
             if overwrite and not resume:
                 _require_replaceable(path, sources)
             tempfile.TemporaryFile(dir=path).close()  # before hours of work, not after
             yield path
     except ClaimedError as error:
         raise ParameterError(
-            f"another run writes to output folder {path} ({error}); each run needs its own; give "
-            f"another --out, or remove {path / CLAIM} if that run has ended"
+            f"another run writes to output folder {path} ({error}); each run needs its own, and "
+            "processes that share a run all have a --frame-range; give another --out, or remove "
+            f"{path / CLAIM} if that run has ended"
         ) from None
     finally:
-        for folder in (path / "frames", path / "states", path / "layers", *made):
+        own = () if shared else (path / "frames", path / "states", path / "layers")
+        for folder in (*own, *made):
             with suppress(OSError):  # it is not empty, or not there
                 folder.rmdir()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
+from rainsim.errors import RainsimError
 from rainsim.output_folder.facts import host_facts
 from rainsim.output_folder.names import JOURNAL
 from rainsim.render.frame_files import FRAME, FrameWriter, facts_of, mean_milliseconds, report_of
@@ -115,3 +116,17 @@ class FrameFolder:
             ledger=self.reports[-1].ledger,
             notes=list(dict.fromkeys(note for r in self.reports for note in r.notes)),
         )
+
+
+def complete_film(folder, record, cameras, config, video=None):
+    """Write what needs the whole sequence from frames that are all there; return their reports."""
+    film = FrameFolder(folder, record, cameras, config, video, resume=True)
+    lost = [index for index in config.indices if index not in film.kept]
+    if lost:
+        raise RainsimError(
+            f"{len(lost)} frames in {folder} were damaged after they were drawn, the first is "
+            f"{lost[0]}; they must stay as they are; go on with --resume"
+        )
+    with film:
+        pass  # it takes over all frames on the way out
+    return film.reports

@@ -51,13 +51,13 @@ class Record:
         own = {k: v for k, v in facts.items() if k not in NOT_OF_THE_CONTENT}
         own |= content or {}
         self.fingerprint = fingerprint({"scene": scene_content(scene), **own})
-        self.files, self.shared = [], False
+        self.files = []
         self.journal = Journal(folder, JOURNAL, OURS.fullmatch)
 
-    def share(self, name):
-        """Leave the folder to other processes of the same run too; `name` is this one's."""
-        self.shared = True
-        self.journal = Journal(self.folder, JOURNAL, OURS.fullmatch, name)
+    def share(self, folder, name):
+        """Note in a journal of this process's own, `name`; `folder` is the folder as seen here."""
+        self.folder = folder
+        self.journal = Journal(folder, JOURNAL, OURS.fullmatch, name)
 
     def begin(self):
         """Delete the files of an earlier run, unless it was the same, and write this record."""
@@ -70,9 +70,8 @@ class Record:
             for name in (*kept, JOURNAL):
                 (self.folder / name).unlink(missing_ok=True)
             shutil.rmtree(self.folder / SHARED_FOLDER, ignore_errors=True)
-        if not self.shared:
-            self.journal.gather()
-            shutil.rmtree(self.folder / SHARED_FOLDER, ignore_errors=True)
+        self.journal.gather()
+        shutil.rmtree(self.folder / SHARED_FOLDER, ignore_errors=True)
         self.journal.begin_line()
         for name in list(names_in(self.folder)):
             folder, _, last = name.rpartition("/")
@@ -87,9 +86,18 @@ class Record:
         """Return the journal's entries of the finished parts among `indices`, by index.
 
         `part` is the name of the file that each part has, with its index to be filled in, `facts`
-        what an entry must hold, by type. ParameterError if the folder holds something else than a
-        run with the same fingerprint.
+        what an entry must hold, by type. ParameterError as `require_same` raises it.
         """
+        self.require_same()
+        return {
+            index: entry
+            for index, entry in self.journal.finished(indices).items()
+            if part.format(index) in entry["files"]
+            and all(isinstance(entry.get(name), kind) for name, kind in facts.items())
+        }
+
+    def require_same(self):
+        """Raise ParameterError if the folder holds what no run with this fingerprint wrote."""
         # First the files, then the record: others may just begin, and write the record first.
         found = [path.name for path in self.folder.iterdir()]
         own = (CLAIM, SHARED_FOLDER)
@@ -103,21 +111,11 @@ class Record:
                     "another --out"
                 )
         elif before.get("fingerprint") != self.fingerprint:
-            raise self.was_another()
-        return {
-            index: entry
-            for index, entry in self.journal.finished(indices).items()
-            if part.format(index) in entry["files"]
-            and all(isinstance(entry.get(name), kind) for name, kind in facts.items())
-        }
-
-    def was_another(self):
-        """Return the error for a folder that holds another run."""
-        return ParameterError(
-            f"the run in {self.folder} was another: other scene, settings, cameras, layers, "
-            "version of rainsim or of its libraries; --resume and --frame-range go on with the "
-            "very same run only; give another --out, or --overwrite to replace its results"
-        )
+            raise ParameterError(
+                f"the run in {self.folder} was another: other scene, settings, cameras, layers, "
+                "version of rainsim or of its libraries; --resume and --frame-range go on with "
+                "the very same run only; give another --out, or --overwrite to replace its results"
+            )
 
     def add(self, *names):
         """Note that files, named relative to the folder, are written."""

@@ -324,7 +324,7 @@ def _kept_catchments(surfaces):
     if surfaces.top.size < LEAST_KEPT:
         return _catchments(surfaces)
     found = cache.kept_arrays(
-        "catchments", "rain",
+        "catchments",
         lambda: dict(zip(("point", "edge", "foot"), _catchments(surfaces), strict=True)),
         surfaces.ground, surfaces.top, surfaces.spacing,
     )  # fmt: skip

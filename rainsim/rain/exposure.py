@@ -38,7 +38,7 @@ def rain_exposure(terrain, wind, roughness=0.0):
     if terrain.bed.size < LEAST_KEPT:
         return computed_exposure(terrain, wind, roughness)
     return cache.kept_arrays(
-        "exposure", "rain", lambda: {"share": computed_exposure(terrain, wind, roughness)},
+        "exposure", lambda: {"share": computed_exposure(terrain, wind, roughness)},
         terrain.bed, terrain.top, terrain.underside, terrain.grid, wind, roughness,
     )["share"]  # fmt: skip
 

@@ -181,14 +181,12 @@ def _kept_frame(source_hash, splats, *given):
 
     `given` is what `ground_frame_of` takes besides the splats.
     """
-    name = cache.name_of("scene", source_hash, *given) if cache.folder() else None
-    found = name and cache.read("frame", name)
-    if found:
-        return ground_frame_from_dict(found[0], "kept ground frame")
-    frame = ground_frame_of(splats, *given)
-    if name:
-        cache.write("frame", name, ground_frame_to_dict(frame), {})
-    return frame
+
+    def estimated():
+        return ground_frame_to_dict(ground_frame_of(splats, *given)), {}
+
+    facts, _ = cache.kept("frame", estimated, source_hash, *given)
+    return ground_frame_from_dict(facts, "kept ground frame")
 
 
 def override_ground_frame(

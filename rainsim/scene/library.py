@@ -123,19 +123,17 @@ def _built_in(name):
     kind, length = _long(name) or (name, None)
     module, function = BUILT_IN[kind] if length is None else LONG[kind]
     given = () if length is None else (length,)
-    ours = module.startswith(f"{DEMO_SCENES}.")  # code that the entry's name takes in
-    entry = cache.name_of(KIND, module, function, *given) if ours and cache.folder() else None
-    found = entry and cache.read(KIND, entry)
-    if not found:
+
+    def generated():
         made = getattr(import_module(module), function)(*given)
         arrays = {array: getattr(made.splats, array) for array in ARRAYS}
         if made.actors:
             actors = actors_to_arrays(made.actors)
             arrays |= {ACTORS + name: values for name, values in actors.items()}
-        found = scene_to_data(made), arrays
-        if entry:
-            cache.write(KIND, entry, *found)
-    facts, arrays = found
+        return scene_to_data(made), arrays
+
+    ours = module.startswith(f"{DEMO_SCENES}.")  # and not of somebody else's version
+    facts, arrays = cache.kept(KIND, generated, module, function, *given) if ours else generated()
     actors = {n.removeprefix(ACTORS): a for n, a in arrays.items() if n.startswith(ACTORS)}
     scene = scene_from_data(facts, Splats(**{n: arrays[n] for n in ARRAYS}), name)
     return with_actors(scene, actors_from_arrays(actors)) if actors else scene

@@ -68,9 +68,7 @@ def skylines(scene, prepared, first_camera, near, seen=None):
         return found
 
     # Named by what is drawn: its colours are those of the run's weather.
-    found = cache.kept_arrays(
-        "skyline", "shading", draw, prepared, scene.ground_frame, places, near
-    )
+    found = cache.kept_arrays("skyline", draw, prepared, scene.ground_frame, places, near)
     both = [Skyline(found[f"open {int(part)}"], found[f"land {int(part)}"]) for part in parts]
     if seen is not None:
         both = [opened(skyline, seen) for skyline in both]

@@ -113,7 +113,7 @@ def views_of_splats(scene):
         return {"views": views, "diffuse": np.where(weight > 0, seen, plain).astype("f2"),
                 "toward": toward.astype("f2")}  # fmt: skip
 
-    found = cache.kept_arrays("views", "shading", count, splats, cameras)
+    found = cache.kept_arrays("views", count, splats, cameras)
     return Views(found["views"], len(cameras), found["diffuse"], found["toward"])
 
 

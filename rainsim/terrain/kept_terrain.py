@@ -14,33 +14,25 @@ def kept_terrain(scene, config, mask=None, tell=None):
     """Return the result of `extract_terrain`, to the byte; the parameters are the same.
 
     The kept entry is named by the splats' content, the ground frame, the cameras, the drains, the
-    painted classes, the settings of the terrain, the mask and the code up to the terrain; see
-    `rainsim.io.cache`.
+    painted classes, the settings of the terrain and the mask; see `rainsim.io.cache`.
     """
-    name = entry_name(scene, config, mask) if cache.folder() else None
-    found = name and cache.read(KIND, name)
-    if found:
-        return _unpacked(*found)
-    from rainsim.terrain.extract import extract_terrain  # not needed for a kept terrain
 
-    terrain = extract_terrain(scene, config, mask, tell)
-    if name:
-        cache.write(KIND, name, *_packed(terrain))
-    return terrain
+    def extracted():
+        from rainsim.terrain.extract import extract_terrain  # not needed for a kept terrain
+
+        return _packed(extract_terrain(scene, config, mask, tell))
+
+    return _unpacked(*cache.kept(KIND, extracted, *_inputs(scene, config, mask)))
 
 
 def entry_name(scene, config, mask=None):
     """Return the name of a terrain's entry, see `rainsim.io.cache.name_of`."""
-    return cache.name_of(
-        KIND,
-        scene.splats,
-        scene.ground_frame,
-        scene.cameras,
-        scene.drains,
-        scene.painted,
-        config,
-        mask,
-    )
+    return cache.name_of(KIND, *_inputs(scene, config, mask))
+
+
+def _inputs(scene, config, mask):
+    places = scene.splats, scene.ground_frame, scene.cameras, scene.drains
+    return *places, scene.painted, config, mask
 
 
 def _packed(terrain):

@@ -46,7 +46,7 @@ class TopWater:
     def __init__(self, terrain):
         self.tops, self._grid = terrain.tops, terrain.grid
         if self.tops.level.any():
-            found = cache.kept_arrays(KIND, "water", self._fill, self.tops)
+            found = cache.kept_arrays(KIND, self._fill, self.tops)
             self.depths, self.volumes = found["depths"], found["volumes"]
             self.drawn = np.array([over_gaps(self.tops, depth) for depth in self.depths])
         else:

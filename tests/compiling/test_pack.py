@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import pack
 from rainsim import __version__
-from rainsim.compiling import pack, shipped
+from rainsim.compiling import shipped
 from rainsim.compiling.recorded import Recorded
 
 HERE = sys.platform == "linux" and not set(shipped.FLAGS) - shipped._flags(shipped.CPU_INFO)
@@ -250,7 +251,7 @@ def test_a_pack_that_is_not_used_is_said_once_something_compiles(monkeypatch, ca
 @pytest.mark.slow
 def test_the_whole_pack_leaves_nothing_to_compile(root, tmp_path):
     subprocess.run(
-        [sys.executable, "-m", "rainsim.compiling.pack", "--out", tmp_path / "wheels"], check=True
+        [sys.executable, "-m", "benchmarks.pack", "--out", tmp_path / "wheels"], check=True
     )
     (wheel,) = (tmp_path / "wheels").iterdir()
     print(f"{wheel.stat().st_size / 1e6:.1f} MB")

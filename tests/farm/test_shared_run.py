@@ -1,4 +1,4 @@
-"""Several processes at one run: the same bytes as in one go, and no frame drawn twice."""
+"""Several processes at one run: the same bytes as in one go, and one owner for each frame."""
 
 import json
 import os
@@ -14,9 +14,8 @@ from pathlib import Path
 import pytest
 
 from made_frames import MadeUpFrames
-from rainsim.errors import InputError, ParameterError
-from rainsim.farm import shared_run
-from rainsim.farm.shared_run import SharedRun, joined
+from rainsim.errors import InputError, ParameterError, RainsimError
+from rainsim.farm.shared_run import SharedRun
 from rainsim.io.journal import SHARED_FOLDER
 from rainsim.output_folder import JOURNAL, FrameFolder, Record, claimed, read_record
 from run_folders import assert_same_run, written
@@ -26,17 +25,18 @@ FRAMES = 12
 KILLS, MANY_KILLS = 4, 100
 
 
-def draw(folder, first=0, end=FRAMES, seed=0, stale=60, **how):
-    """Draw a range of a shared run; return which frames were drawn here, and the run."""
+def draw(folder, first=0, end=FRAMES, seed=0, resume=False, **how):
+    """Draw a range of a shared run; return the frames drawn here, and how many are left."""
     frames = MadeUpFrames(**how)
     config = replace(frames.config, frame_range=(first, end))
     scene = tiny_scene()
-    with joined(folder):
+    with claimed(folder, shared=True):
         record = Record(Path(folder), scene, {"layers": ["depth"]}, seed=seed)
-        run = SharedRun(Path(folder), record, scene.cameras[:1], config, stale=stale)
+        run = SharedRun(Path(folder), record, scene.cameras[:1], config, None, resume)
         reports = run.draw(frames)
+        left = run.complete()
     assert [report.index for report in reports] == list(range(first, end))
-    return frames.drawn, run
+    return frames.drawn, left
 
 
 @pytest.fixture(scope="module")
@@ -57,13 +57,11 @@ def same(folder, whole):
 
 
 def test_ranges_one_after_another_give_the_whole(tmp_path, whole):
-    drawn, run = draw(tmp_path / "a", 6, 9)
-    assert drawn == [6, 7, 8] and run.left == FRAMES - 3
+    assert draw(tmp_path / "a", 6, 9) == ([6, 7, 8], FRAMES - 3)
     assert not read_record(tmp_path / "a")["complete"]
     assert not (tmp_path / "a" / "preview.webp").exists()
-    assert draw(tmp_path / "a", 7, FRAMES)[0] == [9, 10, 11]  # ranges may overlap
-    drawn, run = draw(tmp_path / "a", 0, 8)
-    assert drawn == list(range(6)) and run.left == 0
+    assert draw(tmp_path / "a", 7, FRAMES)[0] == [9, 10, 11]  # what is finished is not drawn again
+    assert draw(tmp_path / "a", 0, 8) == (list(range(6)), 0)
     same(tmp_path / "a", whole)
     assert draw(tmp_path / "a", 3, 5)[0] == []  # there is nothing left to draw
     same(tmp_path / "a", whole)
@@ -75,27 +73,23 @@ def test_another_run_is_refused_and_left_as_it_is(tmp_path):
     with pytest.raises(ParameterError, match=r"was another.*give another --out"):
         draw(tmp_path / "a", 2, 4, seed=1)
     assert written(tmp_path / "a") == before
-    for path in (tmp_path / "a").iterdir():  # a process that has just begun
-        if path.name != SHARED_FOLDER:
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-    with pytest.raises(ParameterError, match="was another"):
-        draw(tmp_path / "a", 2, 4, seed=1)
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "mine.txt").write_text("mine")
     with pytest.raises(ParameterError, match=r"mine\.txt and no record"):
         draw(tmp_path / "b")
+    assert [path.name for path in (tmp_path / "b").iterdir()] == ["mine.txt"]
 
 
 def test_a_run_that_shares_with_none_and_a_shared_one_refuse_each_other(tmp_path):
     folder = tmp_path / "a"
-    with claimed(folder), pytest.raises(ParameterError, match="run without --frame-range writes"):
+    with claimed(folder), pytest.raises(ParameterError, match="another run writes"):
         draw(folder)
-    with joined(folder), joined(folder):  # those who share it do not
+    with claimed(folder, shared=True), claimed(folder, shared=True):  # those who share it do not
         with pytest.raises(ParameterError, match="another run writes"), claimed(folder):
             pass
     (tmp_path / "file").write_text("")
-    with pytest.raises(ParameterError, match="is a file"), joined(tmp_path / "file"):
-        pass
+    with pytest.raises(ParameterError, match="is a file"):
+        draw(tmp_path / "file")
 
 
 def test_an_unfinished_shared_run_is_gone_on_with_in_one_go(tmp_path, whole):
@@ -112,25 +106,48 @@ def test_an_unfinished_shared_run_is_gone_on_with_in_one_go(tmp_path, whole):
     same(tmp_path / "a", whole)
 
 
-def test_frames_that_are_damaged_are_drawn_again(tmp_path, whole):
+def test_frames_that_are_damaged_are_said_and_drawn_again(tmp_path, whole):
     folder = tmp_path / "a"
     draw(folder, 0, 10)
     (folder / "frames" / "00003.png").write_bytes(b"cut")
     (folder / "frames" / "00009.png").unlink()
-    ended = "process 999999999 on " + shared_run.platform.node() + " since then"
-    for claim in (folder / SHARED_FOLDER).glob("*.0"):  # this process plays an earlier one too
-        claim.write_text(ended)
-    assert draw(folder, 8, FRAMES)[0] == [9, 10, 11, 3]  # 3: found by who completes the run
+    with pytest.raises(ParameterError, match=r"frames 9 to 9 were left undone.*with --resume"):
+        draw(folder, 8, FRAMES)
+    with pytest.raises(RainsimError, match=r"1 frames in .* the first is 3;.*with --resume"):
+        draw(folder, 8, FRAMES, resume=True)
+    assert draw(folder, 0, FRAMES, resume=True)[0] == [3]
     same(folder, whole)
     shutil.rmtree(folder / "frames")
-    assert draw(folder, 0, FRAMES)[0] == list(range(FRAMES))
+    assert draw(folder)[0] == list(range(FRAMES))
     same(folder, whole)
 
 
-def test_what_an_interrupted_process_had_claimed_is_free(tmp_path, whole):
+def test_what_an_interrupted_process_left_undone_is_said_and_drawn_by_resume(tmp_path, whole):
     with pytest.raises(KeyboardInterrupt):
         draw(tmp_path / "a", at=5)
-    assert draw(tmp_path / "a")[0] == list(range(5, FRAMES))
+    for first in (0, 9):
+        with pytest.raises(ParameterError, match=r"to 11 were left undone.*go on with --resume"):
+            draw(tmp_path / "a", first)
+    assert draw(tmp_path / "a", 3, 7, resume=True)[0] == [5, 6]
+    assert draw(tmp_path / "a", resume=True)[0] == list(range(7, FRAMES))
+    same(tmp_path / "a", whole)
+
+
+def test_a_frame_has_one_owner(tmp_path, whole):
+    class Meanwhile(MadeUpFrames):
+        def frames(self, indices, tell=None):
+            for resume in (False, True):  # nothing is stolen
+                with pytest.raises(ParameterError, match=r"frames 7 to 7 are drawn by process \d+"):
+                    draw(tmp_path / "a", 7, FRAMES, resume=resume)
+            draw(tmp_path / "a", 8, FRAMES)
+            return super().frames(indices)
+
+    config, scene = replace(MadeUpFrames().config, frame_range=(0, 8)), tiny_scene()
+    with claimed(tmp_path / "a", shared=True):
+        record = Record(tmp_path / "a", scene, {"layers": ["depth"]}, seed=0)
+        run = SharedRun(tmp_path / "a", record, scene.cameras[:1], config)
+        run.draw(Meanwhile())
+        assert run.complete() == 0
     same(tmp_path / "a", whole)
 
 
@@ -142,8 +159,8 @@ def test_a_folder_that_vanishes_ends_in_one_line(tmp_path):
                 yield frame
 
     config, scene = replace(MadeUpFrames().config, frame_range=(0, 4)), tiny_scene()
-    with pytest.raises(InputError, match=r"is gone while frames are drawn.*same command again"):
-        with joined(tmp_path / "a"):
+    with pytest.raises(InputError, match=r"is gone while frames are drawn.*--resume"):
+        with claimed(tmp_path / "a", shared=True):
             record = Record(tmp_path / "a", scene)
             SharedRun(tmp_path / "a", record, scene.cameras, config).draw(Vanish())
 
@@ -151,16 +168,16 @@ def test_a_folder_that_vanishes_ends_in_one_line(tmp_path):
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_that_cannot_be_written_to(tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(PermissionError), joined(tmp_path / "a"):
+    with pytest.raises(PermissionError), claimed(tmp_path / "a", shared=True):
         pass
 
 
 CODE = "import sys; import test_shared_run as t; t.draw(*eval(sys.argv[1]), pause=0.05)"
 
 
-def start(folder, first=0, end=FRAMES, seed=0, stale=60):
+def start(folder, first=0, end=FRAMES, resume=False):
     paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    call = repr((str(folder), first, end, seed, stale))
+    call = repr((str(folder), first, end, 0, resume))
     return subprocess.Popen(
         [sys.executable, "-c", CODE, call], env=os.environ | {"PYTHONPATH": paths},
         stderr=subprocess.DEVNULL,
@@ -175,22 +192,29 @@ def drawn_by(folder):
     return sorted(json.loads(line)["index"] for line in lines)
 
 
-def test_processes_race_through_overlapping_ranges(tmp_path, whole):
-    folder = tmp_path / "a"
-    ranges = [(0, 8), (4, FRAMES - 1), (2, 9)]  # the last frame is nobody's yet
-    for process in [start(folder, *each) for each in ranges]:
-        assert process.wait() == 0
-    assert drawn_by(folder) == list(range(FRAMES - 1))  # none twice
-    draw(folder, FRAMES - 1, FRAMES)
-    same(folder, whole)
+def test_processes_beside_each_other_complete_the_run(tmp_path, whole):
+    running = [start(tmp_path / "a", k, k + 4) for k in range(0, FRAMES, 4)]
+    assert [process.wait() for process in running] == [0, 0, 0]
+    same(tmp_path / "a", whole)
+
+
+def test_of_processes_of_one_range_one_draws_it(tmp_path, whole):
+    running = [start(tmp_path / "a", 0, FRAMES - 1) for _ in range(3)]
+    ended = [process.wait() for process in running]
+    assert 0 in ended
+    assert drawn_by(tmp_path / "a") == list(range(FRAMES - 1))  # none twice
+    draw(tmp_path / "a", FRAMES - 1)
+    same(tmp_path / "a", whole)
 
 
 def killed_at_random(folder, count, seed, many):
-    """Start `many` processes at a time and kill them, again and again; return how many died."""
+    """Start `many` processes on ranges of their own and kill them; return how many died."""
     rng, killed, running = random.Random(seed), 0, []
     while count > 0 or running:
         while count > 0 and len(running) < many:
-            running.append(start(folder))
+            part = count % many
+            ends = FRAMES * part // many, FRAMES * (part + 1) // many
+            running.append(start(folder, *ends, resume=True))
             count -= 1
         time.sleep(rng.uniform(0.4, 1.5) / many)
         process = running.pop(rng.randrange(len(running)))
@@ -201,7 +225,7 @@ def killed_at_random(folder, count, seed, many):
 
 def test_processes_killed_at_random_moments_lose_nothing(tmp_path, whole):
     assert killed_at_random(tmp_path / "a", KILLS, seed=2, many=2) > 0
-    draw(tmp_path / "a")
+    draw(tmp_path / "a", resume=True)
     same(tmp_path / "a", whole)
 
 
@@ -209,5 +233,5 @@ def test_processes_killed_at_random_moments_lose_nothing(tmp_path, whole):
 @pytest.mark.parametrize("seed", range(12))
 def test_processes_killed_at_many_random_moments_lose_nothing(tmp_path, whole, seed):
     killed_at_random(tmp_path / "a", MANY_KILLS // 10, seed, many=(1, 2, 5)[seed % 3])
-    draw(tmp_path / "a")
+    draw(tmp_path / "a", resume=True)
     same(tmp_path / "a", whole)

@@ -112,14 +112,6 @@ def _in_cli(names):
     return {name for name in names if name == "cli.py" or name.startswith("commands/")}
 
 
-def test_kept_results_are_named_by_the_code_of_the_stages_before():
-    from rainsim.io.cache import STAGES
-
-    stages = [stage for line in ORDER for stage in line.split()]
-    assert list(STAGES) == stages[: len(STAGES)]
-    assert STAGES[-1] == "simulation"
-
-
 def test_the_walk_finds_imports():
     assert "rainsim.errors" in _imports(PACKAGE / "config/settings.py")
     assert "pipeline.py" in _users("rainsim.errors")

@@ -1,8 +1,9 @@
-"""Make the wheel rainsim-kernels: `python -m rainsim.compiling.pack --out FOLDER`.
+"""Make the wheel rainsim-kernels: `python -m benchmarks.pack --out FOLDER`.
 
 It holds the machine code of the recorded kernels, compiled for `shipped.PROCESSOR`, and a manifest
-of what it was made for; no code of Python. `shipped` loads it. With `--cuda 9.0` it also holds
-those of GPUs of that compute capability: numba-cuda must be installed, a GPU is not needed.
+of what it was made for; no code of Python. `rainsim/compiling/shipped.py` loads it. With
+`--cuda 9.0` it also holds those of GPUs of that compute capability: numba-cuda must be installed, a
+GPU is not needed.
 """
 
 import argparse
@@ -133,7 +134,7 @@ def _progress(share, done, total, count):
 
 def main(words=None):
     """Compile all recorded kernels and print the wheel's path and size."""
-    parser = argparse.ArgumentParser(prog="python -m rainsim.compiling.pack", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pack", description=__doc__)
     parser.add_argument("--out", required=True, metavar="FOLDER", help="Where the wheel goes.")
     parser.add_argument(
         "--cuda", action="append", default=[], metavar="CAPABILITY", dest="capabilities",
