@@ -11,8 +11,8 @@ import click
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside, uses_of
 from rainsim.commands.given import check_camera_options, paths_in, require_backend, settings
-from rainsim.commands.optics import lens_of, optics_options, pane_of, readout_of
-from rainsim.commands.options import FILE, PRESETS
+from rainsim.commands.optics import lens_of, pane_of, readout_of
+from rainsim.commands.options import FILE, PRESETS, group, option
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.datasets import LAYOUTS, SCANNED
 from rainsim.errors import ParameterError, counted
@@ -22,97 +22,50 @@ MOST_RAINS = 64
 ROUNDED = 1e-9  # by which the shape of a pixel may differ from rounding alone
 MOST_LAYERS = 26  # AOVs of a picture's labels, and those of two that are being written
 
+# fmt: off
+_data_options = group(
+    option("layout", click.Choice(LAYOUTS), "Whose names, folders and encodings.",
+           default="nerfstudio"),
+    option("rain rains", str, "Rain rates in mm/h; 0 is the clear picture: the dry capture as it "
+           "was taken.", "MM/H,MM/H", default=DEFAULT_RAINS),
+    option("views", str, "Cameras of the capture: all, N of them evenly in their order, or by name "
+           "(12, is the camera 12). All see one moment.", "all|N|NAME,NAME", default="all"),
+    option("path", FILE, "A camera path instead, as `rainsim run` takes it: its views follow one "
+           "another in time, and have flow.", "FILE"),
+    options.shot_options,
+    option("drive", bool, "The chosen views follow one another in time, and have flow."),
+    option("fps", float, "Views per second with --drive.", shows=PRESETS),
+    option("drive-speed", float, "Place the views of --drive by this speed along the path of the "
+           "cameras: all that it has room for, or the first N of --views N.", "KM/H",
+           shows="what views and --fps make"),
+    option("hold-out", click.IntRange(0), "Hold out every N-th view to test and to validate, in "
+           "turn; 0 holds none out.", "N",
+           shows="8; of fewer than 16 views so that two are"),
+    options.optics_options,
+    option("lidar", click.Choice(("vlp16", "hdl32", "hdl64")), "Which lidar stands at the camera; "
+           "with --layout kitti_object or semantic_kitti.", shows="hdl64"),
+    option("rig", FILE, "Cameras and lidars on a vehicle that follows --drive or --path, each at "
+           "its own times.", "FILE.toml"),
+    option("partners", bool, "Of each rainy picture also the same without what falls, without "
+           "drops on the glass, and dry: in the folder rainsim."),
+    option("labels", click.Path(path_type=Path), "Your own ids: one for each splat, or masks named "
+           "as the capture's cameras.", "FILE.npy|FOLDER"),
+)
+_size_options = group(
+    option("width", int, "Width of the pictures in px.", "PX", shows="648"),
+    option("height", int, "Height of the pictures in px; with --width the picture is cropped.",
+           "PX", shows="the camera's shape"),
+)
+# fmt: on
+
 
 @click.command(short_help="Write a data set: clear and rainy pictures with labels.")
 @click.argument("scene", default="bicycle")
-@click.option(
-    "--layout",
-    type=click.Choice(LAYOUTS),
-    default="nerfstudio",
-    show_default=True,
-    help="Whose names, folders and encodings.",
-)
-@click.option(
-    "--rain",
-    "rains",
-    metavar="MM/H,MM/H",
-    default=DEFAULT_RAINS,
-    show_default=True,
-    help="Rain rates in mm/h; 0 is the clear picture: the dry capture as it was taken.",
-)
-@click.option(
-    "--views",
-    metavar="all|N|NAME,NAME",
-    default="all",
-    show_default=True,
-    help="Cameras of the capture: all, N of them evenly in their order, or by name (12, is the "
-    "camera 12). All see one moment.",
-)
-@click.option(
-    "--path",
-    type=FILE,
-    metavar="FILE",
-    help="A camera path instead, as `rainsim run` takes it: its views follow one another in time, "
-    "and have flow.",
-)
-@options.shot_options
-@click.option(
-    "--drive", is_flag=True, help="The chosen views follow one another in time, and have flow."
-)
-@click.option("--fps", type=float, show_default=PRESETS, help="Views per second with --drive.")
-@click.option(
-    "--drive-speed",
-    type=float,
-    metavar="KM/H",
-    show_default="what views and --fps make",
-    help="Place the views of --drive by this speed along the path of the cameras: all that it has "
-    "room for, or the first N of --views N.",
-)
-@click.option(
-    "--hold-out",
-    type=click.IntRange(0),
-    metavar="N",
-    show_default="8; of fewer than 16 views so that two are",
-    help="Hold out every N-th view to test and to validate, in turn; 0 holds none out.",
-)
-@optics_options
-@click.option(
-    "--lidar",
-    type=click.Choice(("vlp16", "hdl32", "hdl64")),
-    show_default="hdl64",
-    help="Which lidar stands at the camera; with --layout kitti_object or semantic_kitti.",
-)
-@click.option(
-    "--rig",
-    type=FILE,
-    metavar="FILE.toml",
-    help="Cameras and lidars on a vehicle that follows --drive or --path, each at its own times.",
-)
-@click.option(
-    "--partners",
-    is_flag=True,
-    help="Of each rainy picture also the same without what falls, without drops on the glass, and "
-    "dry: in the folder rainsim.",
-)
-@click.option(
-    "--labels",
-    type=click.Path(path_type=Path),
-    metavar="FILE.npy|FOLDER",
-    help="Your own ids: one for each splat, or masks named as the capture's cameras.",
-)
+@_data_options
 @options.preset_option
 @options.shower_options
 @options.light_options
-@click.option(
-    "--width", type=int, metavar="PX", show_default="648", help="Width of the pictures in px."
-)
-@click.option(
-    "--height",
-    type=int,
-    metavar="PX",
-    show_default="the camera's shape",
-    help="Height of the pictures in px; with --width the picture is cropped.",
-)
+@_size_options
 @options.backend_option
 @options.ground_options
 @options.terrain_options

@@ -21,7 +21,7 @@ from rainsim.commands.given import (
     view_on,
     water_mask_of,
 )
-from rainsim.commands.optics import content_of, drawn_camera, optics_of, shot_options
+from rainsim.commands.optics import content_of, drawn_camera, optics_of
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import InputError, ParameterError, counted
 
@@ -36,7 +36,8 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.light_options
 @options.camera_options
 @options.picture_options
-@shot_options
+@options.optics_options
+@options.shutter_option
 @options.big_options
 @options.backend_option
 @options.shared_range_options
@@ -203,17 +204,13 @@ def _write_simulation(out, source, map_file, record, config, preset, origin):
 
 @click.command(short_help="Draw frames from simulated water.")
 @click.argument("states", type=options.FOLDER)
-@click.option(
-    "--scene",
-    "-s",
-    metavar="NAME|PATH",
-    show_default="the one that the states were made for",
-    help="The capture to draw.",
-)
+@options.option("scene -s", str, "The capture to draw.", "NAME|PATH",
+                "the one that the states were made for")  # fmt: skip
 @options.light_options
 @options.camera_options
 @options.picture_options
-@shot_options
+@options.optics_options
+@options.shutter_option
 @options.big_options
 @options.backend_option
 @options.shared_range_options

@@ -22,14 +22,9 @@ CHECK_RAIN = 3  # mm of them, over what a camera sees
 @options.ground_options
 @options.terrain_options
 @options.mask_options
-@click.option(
-    "--check",
-    is_flag=False,
-    flag_value="",
-    metavar="[=CAMERA]",
-    help="Draw the ground's grid and the puddles of 3 mm of rain over what a camera sees, as "
-    "check.png. [default: the first]",
-)
+@options.option("check", str, "Draw the ground's grid and the puddles of 3 mm of rain over what a "
+                "camera sees, as check.png. [default: the first]", "[=CAMERA]", is_flag=False,
+                flag_value="")  # fmt: skip
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-terrain")
 def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json, quiet, **given):

@@ -8,6 +8,7 @@ from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside
 from rainsim.commands.export import rains_of
 from rainsim.commands.given import named_camera, paths_in, settings
+from rainsim.commands.options import group, option
 from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError, counted
 
@@ -16,63 +17,34 @@ FORMATS = ("kitti", "pcd", "ply")
 MOST_TURNS = 9999
 HIGHEST = 1000.0  # m above or below the ground's level
 
+# fmt: off
+_lidar_options = group(
+    option("sensor", click.Choice(SENSORS), "Channels, ranges and beams of which lidar.",
+           default="vlp16"),
+    option("rain rains", str, "Rain rates in mm/h; 0 is the dry scene in clear air.", "MM/H,MM/H",
+           default="0,10,25,50"),
+    option("camera", str, "The lidar stands at this camera, level, and looks where it looks. "
+           "[default: the first]", "NAME"),
+    option("height", float, "Height of the lidar above the ground's level in metres.", "M",
+           shows="the camera's"),
+    option("speed", float, "Speed ahead in m/s.", "M/S", default=0.0),
+    option("turns", click.IntRange(1, MOST_TURNS), "Number of turns, one after the other.",
+           default=1),
+    option("format kind", click.Choice(FORMATS), "kitti: .bin with .label files; pcd: all pulses, "
+           "lost ones as NaN; ply.", default="kitti"),
+)
+_albedo_option = option(
+    "ground-albedo", float, "Share of the light that the open dry ground reflects; colours stand "
+    "for reflectivities.", "0..1", shows="guessed")
+# fmt: on
+
 
 @click.command(short_help="Scan a scene by a lidar, clear and in rain.")
 @click.argument("scene", default="bicycle")
-@click.option(
-    "--sensor",
-    type=click.Choice(SENSORS),
-    default="vlp16",
-    show_default=True,
-    help="Channels, ranges and beams of which lidar.",
-)
-@click.option(
-    "--rain",
-    "rains",
-    metavar="MM/H,MM/H",
-    default="0,10,25,50",
-    show_default=True,
-    help="Rain rates in mm/h; 0 is the dry scene in clear air.",
-)
-@click.option(
-    "--camera",
-    metavar="NAME",
-    help="The lidar stands at this camera, level, and looks where it looks. [default: the first]",
-)
-@click.option(
-    "--height",
-    type=float,
-    metavar="M",
-    show_default="the camera's",
-    help="Height of the lidar above the ground's level in metres.",
-)
-@click.option(
-    "--speed", type=float, default=0.0, show_default=True, metavar="M/S", help="Speed ahead in m/s."
-)
-@click.option(
-    "--turns",
-    type=click.IntRange(1, MOST_TURNS),
-    default=1,
-    show_default=True,
-    help="Number of turns, one after the other.",
-)
-@click.option(
-    "--format",
-    "kind",
-    type=click.Choice(FORMATS),
-    default="kitti",
-    show_default=True,
-    help="kitti: .bin with .label files; pcd: all pulses, lost ones as NaN; ply.",
-)
+@_lidar_options
 @options.preset_option
 @options.shower_options
-@click.option(
-    "--ground-albedo",
-    type=float,
-    metavar="0..1",
-    show_default="guessed",
-    help="Share of the light that the open dry ground reflects; colours stand for reflectivities.",
-)
+@_albedo_option
 @options.ground_options
 @options.terrain_options
 @options.output_options("rainsim-out/SCENE-SENSOR")

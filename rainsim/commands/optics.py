@@ -2,54 +2,7 @@
 
 from __future__ import annotations
 
-import click
-
-from rainsim.commands.options import Numbers, group
 from rainsim.errors import ParameterError
-
-optics_options = group(
-    click.option(
-        "--lens",
-        metavar="MODEL:K1,K2,...|FILE",
-        show_default="pinhole",
-        help="Distort pictures, layers and labels: opencv:k1,k2,p1,p2[,k3] or "
-        "fisheye:k1,k2,k3,k4, as OpenCV has them, or that of a transforms.json or COLMAP model.",
-    ),
-    click.option(
-        "--rolling",
-        type=float,
-        default=0.0,
-        show_default=True,
-        metavar="MS",
-        help="Readout time of a rolling shutter from the first row to the last, in ms.",
-    ),
-    click.option(
-        "--glass",
-        type=Numbers("seconds,speed"),
-        help="Drops on a pane before the lens: for how many seconds it has rained on it, and the "
-        "camera's speed ahead in m/s, at which drops come.",
-    ),
-    click.option(
-        "--wiper",
-        type=float,
-        metavar="SECONDS",
-        show_default="none",
-        help="A wiper clears the glass every so many seconds since it began to rain on it; with "
-        "--glass.",
-    ),
-)
-shot_options = group(  # of frames
-    optics_options,
-    click.option(
-        "--shutter-samples",
-        type=click.IntRange(1, 256),
-        default=1,
-        show_default=True,
-        metavar="N",
-        help="Blur what moves, and all of it with a moving camera: the mean of N pictures over "
-        "the exposure. Falling drops are blurred without it.",
-    ),
-)
 
 
 def lens_of(given):

@@ -17,47 +17,42 @@ from rainsim.commands.given import (
     require_backend,
     require_own_cameras,
 )
-from rainsim.commands.options import FILE, Numbers
+from rainsim.commands.options import FILE, Numbers, group, option
 from rainsim.errors import ParameterError, require_positive
 
 NEAR = 0.01  # capture units, as gsplat has it
 SIDES = (1, 16384)  # px
 
+# fmt: off
+_splat_options = group(
+    option("camera", str, "A camera of the capture. [default: its first]", "NAME"),
+    option("cameras", FILE, "Cameras instead of the capture's.", "FILE.json"),
+    options.eye_options,
+    option("fov", float, "Horizontal field of view in degrees, with --eye. [default: 60]", "DEG"),
+    option("up", Numbers("x,y,z"), "Up in the picture, with --eye. [default: the cameras' mean]"),
+    option("ortho-height", float, "Orthographic camera, with --eye: height of the picture in "
+           "units.", "UNITS"),
+    option("width", int, "Width in px. [default: 648]", "PX"),
+    option("height", int, "Height in px. [default: the camera's shape]", "PX"),
+    option("depth", click.Choice(["expected", "median", "plane"]), "expected, the mean depth of "
+           "the splats' centres; median, the splat at which half of the light is stopped; or "
+           "plane, where the ray meets the blended plane.", default="expected"),
+    option("background", Numbers("r,g,b"), "Colour behind the splats, 0 to 1, display-referred. "
+           "[default: 0,0,0]", shows=False, default=(0.0, 0.0, 0.0)),
+    option("hit", bool, "Add an array hit to FILE.npz: the index in the file of the splat at which "
+           "half of the light is stopped, int32; -1 for none."),
+    option("compensate", bool, "Lower the opacity of splats smaller than a pixel, as Mip-Splatting "
+           "does."),
+    option("out -o", FILE, "Picture, or float32 arrays rgb, alpha, depth, normal.",
+           "FILE.png|FILE.npz", required=True),
+    option("overwrite", bool, "Replace the file if it exists."),
+)
+# fmt: on
+
 
 @click.command(short_help="Draw the capture from a camera, without rain.")
 @click.argument("scene", default="bicycle")
-@click.option("--camera", metavar="NAME", help="A camera of the capture. [default: its first]")
-@click.option("--cameras", type=FILE, metavar="FILE.json", help="Cameras instead of the capture's.")
-@options.eye_options
-@click.option("--fov", type=float, metavar="DEG",
-              help="Horizontal field of view in degrees, with --eye. [default: 60]")  # fmt: skip
-@click.option("--up", type=Numbers("x,y,z"), help="Up in the picture, with --eye. [default: the "
-              "cameras' mean]")  # fmt: skip
-@click.option("--ortho-height", type=float, metavar="UNITS",
-              help="Orthographic camera, with --eye: height of the picture in units.")  # fmt: skip
-@click.option("--width", type=int, metavar="PX", help="Width in px. [default: 648]")
-@click.option("--height", type=int, metavar="PX",
-              help="Height in px. [default: the camera's shape]")  # fmt: skip
-@click.option("--depth", type=click.Choice(["expected", "median", "plane"]), default="expected",
-              show_default=True, help="expected, the mean depth of the splats' centres; median, "
-              "the splat at which half of the light is stopped; or plane, where the ray meets the "
-              "blended plane.")  # fmt: skip
-@click.option(
-    "--background",
-    type=Numbers("r,g,b"),
-    default=(0.0, 0.0, 0.0),
-    help="Colour behind the splats, 0 to 1, display-referred. [default: 0,0,0]",
-)
-@click.option("--hit", is_flag=True, help="Add an array hit to FILE.npz: the index in the file of "
-              "the splat at which half of the light is stopped, int32; -1 for none.")  # fmt: skip
-@click.option(
-    "--compensate",
-    is_flag=True,
-    help="Lower the opacity of splats smaller than a pixel, as Mip-Splatting does.",
-)
-@click.option("--out", "-o", type=FILE, required=True, metavar="FILE.png|FILE.npz",
-              help="Picture, or float32 arrays rgb, alpha, depth, normal.")  # fmt: skip
-@click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
+@_splat_options
 @options.threads_option
 @options.big_options
 @options.backend_option

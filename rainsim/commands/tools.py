@@ -18,12 +18,10 @@ GROUND_FRAME = "ground_frame.json"
 
 @click.command("import", short_help="Read a capture, find its ground, store both.")
 @click.argument("path", type=click.Path(path_type=Path))
-@click.option("--info", is_flag=True, help="Only print what PATH holds; write nothing.")
-@click.option(
-    "--lod", is_flag=True,
-    help="Cut a capture that is too large for the memory into chunks at several levels of detail "
-    "(Streamed SOG); it is read once, part by part.",
-)  # fmt: skip
+@options.option("info", bool, "Only print what PATH holds; write nothing.")
+@options.option("lod", bool, "Cut a capture that is too large for the memory into chunks at "
+                "several levels of detail (Streamed SOG); it is read once, part by part."
+                )  # fmt: skip
 @options.ground_options
 @options.resume_option
 @options.output_options("NAME-scene")
@@ -165,7 +163,7 @@ def scenes(as_json):
 
 @click.command(short_help="List the presets, or print one.")
 @click.argument("name", required=False)
-@click.option("--keys", is_flag=True, help="List every key of a preset file with its meaning.")
+@options.option("keys", bool, "List every key of a preset file with its meaning.")
 @options.json_option
 def presets(name, keys, as_json):
     """List the presets, or print the preset NAME as a file to start your own from.
@@ -220,7 +218,7 @@ def _comment(text):
 
 @click.command(short_help="Compile once for this machine.")
 @options.backend_option
-@click.option("--quiet", "-q", is_flag=True, help="Print errors only.")
+@options.quiet_option
 def warmup(backend, quiet):
     """Compile everything for this machine, once; later runs start at once.
 

@@ -33,21 +33,20 @@ WAIT = 0.5  # s between looks at whether Ctrl-C was pressed
 @options.preset_option
 @options.rain_options
 @options.light_options
-@click.option("--camera", metavar="NAME", help="Where to begin. [default: the camera that "
-              "shows most water]")  # fmt: skip
-@click.option("--width", type=int, metavar="PX", show_default=options.PRESETS,
-              help="Width of a picture at rest, in px.")  # fmt: skip
+@options.option(
+    "camera", str, "Where to begin. [default: the camera that shows most water]", "NAME"
+)
+@options.option("width", int, "Width of a picture at rest, in px.", "PX", options.PRESETS)
 @options.backend_option
 @options.ground_options
 @options.terrain_options
 @options.mask_options
-@click.option("--port", type=click.IntRange(1, 65535), default=PORT, show_default=True,
-              help="Port on this machine; if it is in use, the next free one.")  # fmt: skip
-@click.option("--out", "-o", type=options.FOLDER, metavar="DIR",
-              show_default="rainsim-out/SCENE-view",
-              help="Folder for what is saved on the page.")  # fmt: skip
+@options.option("port", click.IntRange(1, 65535), "Port on this machine; if it is in use, the next "
+                "free one.", default=PORT)  # fmt: skip
+@options.option("out -o", options.FOLDER, "Folder for what is saved on the page.", "DIR",
+                "rainsim-out/SCENE-view")  # fmt: skip
 @options.threads_option
-@click.option("--quiet", "-q", is_flag=True, help="Print the address and errors only.")
+@options.option("quiet -q", bool, "Print the address and errors only.")
 def view(scene, preset, camera, backend, class_mask, port, out, quiet, **given):
     """Look at SCENE in the rain in a browser, on this machine only; needs rainsim[view].
 

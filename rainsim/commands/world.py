@@ -25,10 +25,9 @@ PARTS = ("camera", "ground", "water", "rain", "capture")
 
 @click.command(short_help="Write camera, ground, puddles, rain and capture as USD.")
 @click.argument("scene", default="bicycle")
-@click.option("--parts", metavar="NAME,NAME", show_default=",".join(PARTS),
-              help="Which parts are written.")  # fmt: skip
-@click.option("--frame-start", type=click.IntRange(-(10**8), 10**8), metavar="N",
-              show_default="the path's, or 0", help="Number of the first frame.")  # fmt: skip
+@options.option("parts", str, "Which parts are written.", "NAME,NAME", ",".join(PARTS))
+@options.option("frame-start", click.IntRange(-(10**8), 10**8), "Number of the first frame.", "N",
+                "the path's, or 0")  # fmt: skip
 @options.preset_option
 @options.rain_options
 @options.camera_options
