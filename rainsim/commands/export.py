@@ -9,11 +9,11 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.compile import compiled_beside, uses_of
-from rainsim.commands.given import check_camera_options, paths_in, require_backend, settings
+from rainsim.commands.compile import uses_of
+from rainsim.commands.given import check_camera_options, require_backend
+from rainsim.commands.job import Job
 from rainsim.commands.optics import lens_of, pane_of, readout_of
 from rainsim.commands.options import FILE, PRESETS, group, option
-from rainsim.commands.status import Status, loaded_scene
 from rainsim.datasets import LAYOUTS, SCANNED
 from rainsim.errors import ParameterError, counted
 
@@ -71,9 +71,7 @@ _size_options = group(
 @options.terrain_options
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-LAYOUT")
-def export(
-    scene, layout, rains, out, overwrite, resume, as_json, quiet, backend, preset, labels, **given
-):  # fmt: skip
+def export(scene, layout, rains, **given):
     """Write a data set of SCENE: each view clear and in each rain, with labels.
 
     Labels: depth, range, classes of ground and water, puddles, splashes, masks of what rain spoils,
@@ -85,10 +83,9 @@ def export(
         rainsim export bicycle --layout nerfstudio --rain 0,10,50 --views 24
         rainsim export street --layout kitti --drive --rain 0,25 --out street-kitti
     """
-    status = Status(quiet)
     rates = rains_of(rains)
-    given = {**given, "frames": None}
-    config = settings(preset, given)
+    job = Job({**given, "frames": None})
+    given, config, backend = job.given, job.config, job.backend
     check_camera_options(given)
     if given["path"] is not None and (given["views"] != "all" or given["drive"]):
         raise ParameterError("--path is a sequence of its own; leave out --views and --drive")
@@ -112,20 +109,12 @@ def export(
     from rainsim.datasets.shots import FLOWS, LABELS
 
     uses = uses_of(scene, config, (*LABELS, *FLOWS), backend)
-    with status, compiled_beside(status, uses, config.threads):
-        loaded = loaded_scene(status, scene, given)
-        out = out or options.default_out(loaded.name, layout)
-        cameras = _cameras(status, loaded, config, given)
-        plan = _plan(status, loaded, cameras, lens, rates, config, layout, given, rig)
-        card = _write(
-            status, loaded, plan, config, layout=layout, out=out, overwrite=overwrite,
-            resume=resume, backend=backend, labels=labels, given=given,
-        )  # fmt: skip
-    from rainsim.output_folder import relative
-
-    total = counted(card["pictures"], "picture")
-    status.say(f"{total} in {relative(out)} ({status.seconds:.1f} s)")
-    options.echo({"out": str(out), **card}, as_json, str(out))
+    with job.compiling(uses):
+        job.load(scene)
+        job.out = job.out or options.default_out(job.scene.name, layout)
+        plan = _plan(job, _cameras(job), lens, rates, layout, rig)
+        card = _write(job, plan, layout)
+    job.finish(counted(card["pictures"], "picture"), card, more=f" ({job.status.seconds:.1f} s)")
 
 
 def _rig(given, config, layout):
@@ -164,20 +153,21 @@ def rains_of(text):
     return tuple(rates)
 
 
-def _cameras(status, scene, config, given):
+def _cameras(job):
     """Return the data set's cameras, sized, in the capture frame."""
     from rainsim.commands.given import named_camera, shot_cameras, shot_in
     from rainsim.scene.cameras import read_cameras, resize_to
     from rainsim.surface.offered_views import with_offered_cameras
 
-    views, scene = given["views"], with_offered_cameras(scene)
+    given, config, scene = job.given, job.config, with_offered_cameras(job.scene)
+    views = given["views"]
     if given["path"] is not None:
         shot = shot_in(given, config.fps)
         if shot is None:
             cameras = read_cameras(given["path"])
         else:
             cameras, notes = shot_cameras(shot, scene, given, config.fps)
-            status.notes(notes)
+            job.status.notes(notes)
     elif views == "all" or (given["drive_speed"] is not None and _number_of(views)):
         cameras = scene.cameras
     elif _number_of(views):
@@ -215,13 +205,14 @@ def _number_of(views):
     return int(views) if is_number else None
 
 
-def _plan(status, scene, cameras, lens, rates, config, layout, given, rig=None):
+def _plan(job, cameras, lens, rates, layout, rig=None):
     from rainsim.datasets.export import safe_names
     from rainsim.datasets.points import points_of
     from rainsim.datasets.sample import Plan, View
     from rainsim.datasets.splits import check_hold_out, held_out, split_note, usual_hold_out
     from rainsim.render.labels import class_names
 
+    given, scene, fps = job.given, job.scene, job.config.fps
     sequence = given["drive"] or given["path"] is not None
     if sequence and len({(c.width, c.height) for c in cameras}) > 1:
         raise ParameterError(
@@ -229,7 +220,7 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given, rig=None):
         )
     cameras = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     if given["drive"]:
-        cameras = _driven(status, scene, cameras, config.fps, given)
+        cameras = _driven(job, cameras)
     every, turns = given["hold_out"], ()
     if every is None:
         every = usual_hold_out(len(cameras))
@@ -237,55 +228,56 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given, rig=None):
     if rig is not None:
         from rainsim.datasets.rig_shots import offset_notes, rig_views
 
-        status.notes(offset_notes(rig, layout))
-        views, turns = rig_views(rig, cameras, config.fps, layout)
+        job.status.notes(offset_notes(rig, layout))
+        views, turns = rig_views(rig, cameras, fps, layout)
     else:
         named = zip(safe_names(cameras), cameras, strict=True)
         views = [View(k, name, camera, lens) for k, (name, camera) in enumerate(named)]
     views = held_out(views, every)
-    status.notes([split_note(views, layout)])
+    job.status.notes([split_note(views, layout)])
     partners = ("clear_air", "dry") if given["partners"] else ()
     if partners and given["glass"] is not None:
         partners += ("no_glass",)
     return Plan(
         options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names(),
-        partners, 1 / config.fps if sequence else 0.0, rig, turns,
+        partners, 1 / fps if sequence else 0.0, rig, turns,
     )  # fmt: skip
 
 
-def _driven(status, scene, cameras, fps, given):
+def _driven(job, cameras):
     """Return the views of a drive, in the ground frame; say how fast it is, or refuse it."""
     from rainsim.datasets.pace import check_pace, pace_note, placed_by_speed
 
-    assumed, speed = scene.ground_frame.scale_assumed, given["drive_speed"]
+    fps, speed = job.config.fps, job.given["drive_speed"]
+    assumed = job.scene.ground_frame.scale_assumed
     if speed is not None:
-        cameras = placed_by_speed(cameras, speed, fps, _number_of(given["views"]))
+        cameras = placed_by_speed(cameras, speed, fps, _number_of(job.given["views"]))
     else:
         check_pace(cameras, fps, assumed)
-    status.notes([pace_note(cameras, fps, assumed)])
+    job.status.notes([pace_note(cameras, fps, assumed)])
     return cameras
 
 
-def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backend, labels, given):
+def _write(job, plan, layout):
     """Draw and write the data set; return its card."""
     from rainsim.datasets.export import DataSetFolder, read_card
     from rainsim.datasets.export import export as write_all
     from rainsim.datasets.shots import Shots
     from rainsim.io.fingerprint import hash_of, hash_of_array
-    from rainsim.jit import set_threads
-    from rainsim.output_folder import claimed, scene_content, settings_content
+    from rainsim.output_folder import scene_content, settings_content
     from rainsim.render.memory import memory_notes
     from rainsim.scene.cameras import cameras_to_data
     from rainsim.sensors.optics import Optics
 
+    given, scene, config, status = job.given, job.scene, job.config, job.status
     user_labels = None
-    if labels is not None:
+    if given["labels"] is not None:
         from rainsim.datasets.user_labels import read_labels
 
-        user_labels = read_labels(labels, scene, config.render)
+        user_labels = read_labels(given["labels"], scene, config.render)
     content = {
         "scene": scene_content(scene), "settings": settings_content(config),
-        "rates": plan.rates, "sequence": plan.sequence, "backend": backend,
+        "rates": plan.rates, "sequence": plan.sequence, "backend": job.backend,
         "cameras": hash_of(cameras_to_data([view.camera for view in plan.views])),
         "names": [[view.name, view.held_out] for view in plan.views],
         "lens": str(plan.views[0].lens), "rolling": given["rolling"],
@@ -293,30 +285,28 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         "lidar": given["lidar"], "rig": None if plan.rig is None else plan.rig.facts(),
         "labels": None if user_labels is None else hash_of_array(user_labels.ids),
     }  # fmt: skip
-    sources = [scene.source, labels, *paths_in(given)]
     pane = pane_of(given)
     if pane is not None:
         for view in plan.views:
             Optics(view.lens, pane).drawn(view.camera)  # raises
-    with claimed(out, overwrite, resume, sources):
-        set_threads(config.threads)
-        folder = DataSetFolder(out, layout, plan, content, scene, resume, overwrite)
+    with job.folder(scene.source):
+        kept = job.resume, job.overwrite
+        folder = DataSetFolder(job.out, layout, plan, content, scene, *kept)
         if folder.kept:
             status.say(f"{len(folder.kept)} of {folder.count} pictures are finished and kept")
-        from rainsim.pipeline import extract_terrain
-
-        terrain = extract_terrain(scene, config, None, status.progress, status.notes)
+        terrain = job.extract_terrain()
         lidar = (given["lidar"] or "hdl64") if layout in SCANNED else None
         if plan.rig is not None:
             from rainsim.datasets.rig_shots import RigShots
 
-            shots = RigShots(scene, terrain, plan, config, backend, user_labels, given["partners"])
+            more = job.backend, user_labels, given["partners"]
+            shots = RigShots(scene, terrain, plan, config, *more)
         else:
             shots = Shots(
-                scene, terrain, plan.views, config, plan.sequence, backend, user_labels,
+                scene, terrain, plan.views, config, plan.sequence, job.backend, user_labels,
                 readout_of(given), pane, given["partners"], lidar,
             )  # fmt: skip
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))
         write_all(shots, folder, shots.config_of, status.progress)
-    return read_card(Path(out))
+    return read_card(job.out)

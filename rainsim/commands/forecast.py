@@ -15,7 +15,7 @@ DRAWN = 3  # frames after which it is said
 MEASURED = 3  # finished frames at most whose files are looked at
 
 
-def format_of(video, given, start=0):
+def format_of(given, start=0):
     """Return the `VideoFormat` that the options ask for, None without --video.
 
     `start` is the number of the first frame. ParameterError if options of the video are given
@@ -23,7 +23,7 @@ def format_of(video, given, start=0):
     """
     options = {name: given.get(f"video_{name}") for name in ("codec", "quality")}
     options = {name: value for name, value in options.items() if value is not None}
-    if not video:
+    if not given["video"]:
         for name, value in options.items():
             raise ParameterError(
                 f"--video-{name} {value} is given without --video; it is about a video; give "

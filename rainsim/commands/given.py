@@ -211,9 +211,11 @@ def _scale_in_picture(scene, camera, numbers):
 
 def mask_of(path):
     """Return the painted classes of a --class-mask, None without one."""
+    if path is None:
+        return None
     from rainsim.terrain.classify import read_mask
 
-    return None if path is None else read_mask(path)
+    return read_mask(path)
 
 
 def water_mask_of(given):
@@ -224,11 +226,13 @@ def water_mask_of(given):
     return None if path is None else read_water_mask(path, given["water_mask_use"])
 
 
-def masks_named(class_mask, given):
+def masks_named(given):
     """Return hashes of the masks that are given, as what a folder is made of."""
     from rainsim.io.fingerprint import hash_of_file
 
-    found = {} if class_mask is None else {"mask": hash_of_file(class_mask)}
+    found = {}
+    if given.get("class_mask") is not None:
+        found["mask"] = hash_of_file(given["class_mask"])
     if given.get("water_mask") is not None:
         found["water_mask"] = [hash_of_file(given["water_mask"]), given["water_mask_use"]]
     return found

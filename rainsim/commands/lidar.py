@@ -5,11 +5,10 @@ from __future__ import annotations
 import click
 
 from rainsim.commands import options
-from rainsim.commands.compile import compiled_beside
 from rainsim.commands.export import rains_of
-from rainsim.commands.given import named_camera, paths_in, settings
+from rainsim.commands.given import named_camera
+from rainsim.commands.job import Job
 from rainsim.commands.options import group, option
-from rainsim.commands.status import Status, loaded_scene
 from rainsim.errors import ParameterError, counted
 
 SENSORS = ("vlp16", "hdl32", "hdl64")
@@ -49,10 +48,7 @@ _albedo_option = option(
 @options.terrain_options
 @options.output_options("rainsim-out/SCENE-SENSOR")
 @options.resume_option
-def lidar(
-    scene, sensor, rains, camera, height, speed, turns, kind, preset, out, overwrite, resume,
-    as_json, quiet, **given,
-):  # fmt: skip
+def lidar(scene, sensor, rains, height, speed, turns, kind, **given):
     """Scan SCENE by a lidar, clear and in rain, through the very drops that the cameras see.
 
     Writes DIR/clear and DIR/rain/25mm and so on with a file for each turn, the label of each point
@@ -63,9 +59,8 @@ def lidar(
     Example:
         rainsim lidar street --sensor hdl64 --height 1.7 --rain 0,25
     """
-    status = Status(quiet)
     rates = rains_of(rains)
-    config = settings(preset, given)
+    job = Job(given)
     if not abs(speed) <= 100:  # false for NaN
         raise ParameterError(f"--speed is {speed} m/s; it must lie from -100 to 100")
     if height is not None and not abs(height) <= HIGHEST:
@@ -74,22 +69,18 @@ def lidar(
         )
     from rainsim.compiling.uses import LIDAR
 
-    with status, compiled_beside(status, [LIDAR], config.threads):
-        loaded = loaded_scene(status, scene, given)
-        out = out or options.default_out(loaded.name, sensor)
-        place = loaded.ground_frame.camera_in_ground(named_camera(loaded, camera))
-        from rainsim.jit import set_threads
-        from rainsim.output_folder import claimed
+    with job.compiling([LIDAR]):
+        job.load(scene)
+        job.out = job.out or options.default_out(job.scene.name, sensor)
+        camera = named_camera(job.scene, given["camera"])
+        place = job.scene.ground_frame.camera_in_ground(camera)
         from rainsim.sensors.drive import LidarFolder, scan_rains
 
-        with claimed(out, overwrite, resume, [loaded.source, *paths_in(given)]):
-            set_threads(config.threads)
-            folder = LidarFolder(out, kind, overwrite, resume)
+        with job.folder(job.scene.source):
+            folder = LidarFolder(job.out, kind, job.overwrite, job.resume)
             facts = scan_rains(
-                folder, loaded, config, rates, sensor=sensor, camera=place, height=height,
-                speed=speed, turns=turns, tell=status.progress, say=status.notes,
+                folder, job.scene, job.config, rates, sensor=sensor, camera=place, height=height,
+                speed=speed, turns=turns, tell=job.status.progress, say=job.status.notes,
             )  # fmt: skip
-    from rainsim.output_folder import relative
-
-    status.say(f"{counted(turns * len(rates), 'turn')} in {relative(out)} ({status.seconds:.1f} s)")
-    options.echo({"out": str(out), **facts}, as_json, str(out))
+    total = counted(turns * len(rates), "turn")
+    job.finish(total, facts, more=f" ({job.status.seconds:.1f} s)")

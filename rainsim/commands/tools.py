@@ -9,8 +9,9 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside
-from rainsim.commands.given import paths_in, require_backend
-from rainsim.commands.status import Status, loaded_scene
+from rainsim.commands.given import require_backend
+from rainsim.commands.job import Job
+from rainsim.commands.status import Status
 from rainsim.errors import RainsimError
 
 GROUND_FRAME = "ground_frame.json"
@@ -25,7 +26,7 @@ GROUND_FRAME = "ground_frame.json"
 @options.ground_options
 @options.resume_option
 @options.output_options("NAME-scene")
-def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **given):
+def import_(path, info, lod, **given):
     """Read a capture, find its ground, and write it as a scene folder.
 
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
@@ -49,31 +50,33 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         rainsim import --info biker.spz
     """
     if info:
-        _tell_info(path, as_json)
+        _tell_info(path, given["as_json"])
         return
     from rainsim.actors.actor_files import ACTORS_ARRAYS
     from rainsim.commands.cutting import cut_to_scene, require_cuttable
-    from rainsim.output_folder import Record, claimed
+    from rainsim.config.settings import Config
+    from rainsim.output_folder import Record
     from rainsim.scene.folder import import_scene, write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
-    status = Status(quiet)
+    job = Job(given, base=Config())
     if lod:
         whole = require_cuttable(path)
-        out = out or Path(f"{options.plain(path.stem)}-scene")
     else:
-        with status:
-            scene = loaded_scene(status, path, given)
-        out = out or Path(f"{options.plain(scene.name)}-scene")
-    with claimed(out, overwrite, resume, [path, *paths_in(given)]):
+        with job.status:
+            job.load(path)
+    name = path.stem if lod else job.scene.name
+    out = job.out = job.out or Path(f"{options.plain(name)}-scene")
+    with job.folder(path):
         if lod:
-            with status:
-                scene, record = cut_to_scene(status, *whole, out, given, resume)
+            with job.status:
+                record = cut_to_scene(job, *whole)
         else:
-            record = Record(out, scene)
-            if resume:  # one step: it is made again in the folder of the same scene
+            record = Record(out, job.scene)
+            if job.resume:  # one step: it is made again in the folder of the same scene
                 record.resume(())
             record.begin()
+        scene = job.scene
         frame = scene.ground_frame
         write_scene(out, scene)
         write_ground_frame(out / GROUND_FRAME, frame)
@@ -82,9 +85,9 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         record.add("scene.json", *arrays, *moving, GROUND_FRAME)
         record.write(complete=True)
         if scene.pages is None:
-            scene = import_scene(out)  # its map is kept for the runs of the folder
-        calibration = _calibration(status, scene, threads)
-    if as_json:
+            job.scene = scene = import_scene(out)  # its map is kept for the runs of the folder
+        calibration = _calibration(job)
+    if job.as_json:
         result = {
             "out": str(out), "name": scene.name, "splats": len(scene.splats),
             "cameras": [camera.name for camera in scene.cameras],
@@ -104,23 +107,18 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
     click.echo(f"scene folder      {out}")
 
 
-def _calibration(status, scene, threads):
+def _calibration(job):
     """Return what the captured colours are taken for, None where no height map can be made."""
     from rainsim.compiling.uses import HEIGHTMAP
-    from rainsim.config.settings import Config
-    from rainsim.jit import set_threads
-    from rainsim.pipeline import extract_terrain
     from rainsim.shading.calibration import calibration_of
 
-    config = Config().replace(threads=threads).check()
-    with status, compiled_beside(status, [HEIGHTMAP], threads):
-        set_threads(threads)
+    with job.compiling([HEIGHTMAP]):
         try:
-            terrain = extract_terrain(scene, config, None, status.progress, status.notes)
+            terrain = job.extract_terrain()
         except RainsimError as error:
-            status.say(f"  no height map, so what the colours stand for is not known: {error}")
+            job.status.say(f"  no height map, so what the colours stand for is not known: {error}")
             return None
-        return calibration_of(scene, terrain)
+        return calibration_of(job.scene, terrain)
 
 
 def _tell_info(path, as_json):
