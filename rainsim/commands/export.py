@@ -10,9 +10,8 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.compile import uses_of
-from rainsim.commands.given import check_camera_options, require_backend
+from rainsim.commands.given import optics_of, require_backend
 from rainsim.commands.job import Job
-from rainsim.commands.optics import lens_of, pane_of, readout_of
 from rainsim.commands.options import FILE, PRESETS, group, option
 from rainsim.datasets import LAYOUTS, SCANNED
 from rainsim.errors import ParameterError, counted
@@ -86,25 +85,24 @@ def export(scene, layout, rains, **given):
     rates = rains_of(rains)
     job = Job({**given, "frames": None})
     given, config, backend = job.given, job.config, job.backend
-    check_camera_options(given)
     if given["path"] is not None and (given["views"] != "all" or given["drive"]):
         raise ParameterError("--path is a sequence of its own; leave out --views and --drive")
     if given["drive_speed"] is not None:
         from rainsim.datasets.pace import check_speed
 
         check_speed(given["drive_speed"])
-        if not given["drive"]:
-            raise ParameterError("--drive-speed is the speed of --drive; give that too")
     if layout not in SCANNED and given["lidar"] is not None:
         raise ParameterError(
             f"--lidar is of --layout {' or '.join(SCANNED)}; give one, or leave it out"
         )
-    lens, rig = lens_of(given), _rig(given, config, layout)
+    from rainsim.sensors.optics import Optics
+
+    optics, rig = optics_of(given) or Optics(), _rig(given, config, layout)
     if backend == "cuda":
         from rainsim.sensors.rolling import check_rows
 
         own = [] if rig is None else [sensor.readout for sensor in rig.cameras]
-        check_rows(max(readout_of(given), *own, 0.0), config)
+        check_rows(max(optics.readout, *own, 0.0), config)
     require_backend(backend)
     from rainsim.datasets.shots import FLOWS, LABELS
 
@@ -112,8 +110,8 @@ def export(scene, layout, rains, **given):
     with job.compiling(uses):
         job.load(scene)
         job.out = job.out or options.default_out(job.scene.name, layout)
-        plan = _plan(job, _cameras(job), lens, rates, layout, rig)
-        card = _write(job, plan, layout)
+        plan = _plan(job, _cameras(job), optics.lens, rates, layout, rig)
+        card = _write(job, plan, layout, optics)
     job.finish(counted(card["pictures"], "picture"), card, more=f" ({job.status.seconds:.1f} s)")
 
 
@@ -258,7 +256,7 @@ def _driven(job, cameras):
     return cameras
 
 
-def _write(job, plan, layout):
+def _write(job, plan, layout, optics):
     """Draw and write the data set; return its card."""
     from rainsim.datasets.export import DataSetFolder, read_card
     from rainsim.datasets.export import export as write_all
@@ -285,10 +283,9 @@ def _write(job, plan, layout):
         "lidar": given["lidar"], "rig": None if plan.rig is None else plan.rig.facts(),
         "labels": None if user_labels is None else hash_of_array(user_labels.ids),
     }  # fmt: skip
-    pane = pane_of(given)
-    if pane is not None:
+    if optics.pane is not None:
         for view in plan.views:
-            Optics(view.lens, pane).drawn(view.camera)  # raises
+            Optics(view.lens, optics.pane).drawn(view.camera)  # raises
     with job.folder(scene.source):
         kept = job.resume, job.overwrite
         folder = DataSetFolder(job.out, layout, plan, content, scene, *kept)
@@ -304,7 +301,7 @@ def _write(job, plan, layout):
         else:
             shots = Shots(
                 scene, terrain, plan.views, config, plan.sequence, job.backend, user_labels,
-                readout_of(given), pane, given["partners"], lidar,
+                optics.readout, optics.pane, given["partners"], lidar,
             )  # fmt: skip
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))

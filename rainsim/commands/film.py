@@ -11,14 +11,13 @@ from rainsim.commands import options
 from rainsim.commands.compile import uses_of
 from rainsim.commands.forecast import Forecast, exr_of, format_of
 from rainsim.commands.given import (
-    check_camera_options,
     first_frame,
     masks_named,
+    optics_of,
     require_backend,
     view_on,
 )
 from rainsim.commands.job import Job
-from rainsim.commands.optics import content_of, drawn_camera, optics_of
 from rainsim.errors import InputError, ParameterError, counted
 
 SIMULATION = "simulation.json"
@@ -302,7 +301,6 @@ class FilmJob(Job):
 
     def __init__(self, given, base=None):
         super().__init__(given, base)
-        check_camera_options(given)
         _check_farm(given)
         require_backend(self.backend)
         start = round(first_frame(given, self.config.fps))
@@ -310,8 +308,10 @@ class FilmJob(Job):
         from rainsim.render.aov import parse_names
 
         names = parse_names(given["layers"])
-        self.exr, self.layers = exr_of(given, self.config.fps, names, start, self.video)
-        self.optics = optics_of(given, self.backend, self.layers, self.exr, self.config)
+        self.exr, self.layers = exr_of(given, self.config.fps, names, start)
+        self.optics = optics_of(given)
+        if self.optics is not None:
+            self.optics.check(self.backend, self.layers, self.exr, self.config)
 
     def find_cameras(self):
         """Find the frames' cameras; say which times of the rain they see if their path says so."""
@@ -327,7 +327,7 @@ class FilmJob(Job):
         from rainsim.render.memory import layers_held, memory_notes
 
         layers = layers_held(self.layers, self.exr, self.optics)
-        camera = drawn_camera(cameras[0], self.optics)
+        camera = cameras[0] if self.optics is None else self.optics.drawn(cameras[0])
         return memory_notes(self.scene, camera, cells, layers, free_device_memory(self.backend))
 
     def frames(self, ground, config, states=None):
@@ -353,13 +353,17 @@ class FilmJob(Job):
 
         config, status = self.config, self.status
         content |= {"layers": self.layers, "backend": self.backend}
-        content |= content_of(self.exr, self.optics)
+        if self.exr is not None:
+            content["exr"] = self.exr.content
+        if self.optics is not None:
+            content["optics"] = self.optics.facts
         shared = config.frame_range is not None and not self.overwrite
         with self.folder(*sources, shared=shared):
             facts = output_folder.settings_facts(config, self.preset)
             content["settings"] = output_folder.settings_content(config)
             sequence = frames(replace(config, frame_range=None) if shared else config)
-            facts |= {"optics": content["optics"]} if "optics" in content else {}
+            if self.optics is not None:
+                facts["optics"] = self.optics.facts
             facts["cameras"] = output_folder.cameras_facts(sequence.cameras)
             record = output_folder.Record(self.out, self.scene, content, **facts)
             run = self.out, record, sequence.cameras, config, self.video
@@ -378,7 +382,7 @@ class FilmJob(Job):
             "ledger": reports[-1].ledger,
             "notes": [*self.scene.notes, *self.scene.ground_frame.notes],
         }
-        also = " and one OpenEXR file for each in exr" if "exr" in content else ""
+        also = " and one OpenEXR file for each in exr" if self.exr is not None else ""
         total = counted(len(config.indices), "frame")
         self.finish(total, result, more=f"/frames{also} ({status.seconds:.1f} s)")
 

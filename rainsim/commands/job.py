@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside
-from rainsim.commands.given import cameras_of, mask_of, paths_in, scene_of, settings, water_mask_of
+from rainsim.commands.given import cameras_of, check_options, paths_in, scene_of, settings
 from rainsim.commands.status import READING, Status
 
 NEAR = 0.05  # m from a camera, within which nothing is drawn
@@ -29,12 +29,20 @@ class Job:
         self.status = Status(given.pop("quiet"))
         self.preset, self.given = given.pop("preset", None), given
         self.config = settings(self.preset, given, base)
+        check_options(given)
         self.backend = given.get("backend", "cpu")
         self.scene, self.cameras, self.pool = None, (), None
 
     def read_masks(self):
         """Return the painted classes and the `WaterMask` of the options, each None without one."""
-        return mask_of(self.given.get("class_mask")), water_mask_of(self.given)
+        from rainsim.terrain.classify import read_mask
+        from rainsim.terrain.poured import read_water_mask
+
+        classes, water = self.given["class_mask"], self.given["water_mask"]
+        return (
+            None if classes is None else read_mask(classes),
+            None if water is None else read_water_mask(water, self.given["water_mask_use"]),
+        )
 
     @contextmanager
     def compiling(self, uses):

@@ -10,12 +10,14 @@ import click
 from rainsim.commands import options
 from rainsim.commands.compile import refused_folders
 from rainsim.commands.given import (
-    DEFAULT_FOV,
-    DEFAULT_SHAPE,
     DEFAULT_WIDTH,
+    check_options,
+    dashed,
     named_camera,
+    placed_camera,
     require_backend,
     require_own_cameras,
+    settings,
 )
 from rainsim.commands.options import FILE, Numbers, group, option
 from rainsim.errors import ParameterError, require_positive
@@ -57,7 +59,7 @@ _splat_options = group(
 @options.big_options
 @options.backend_option
 @options.json_option
-def splat(scene, out, overwrite, threads, as_json, **given):
+def splat(scene, out, overwrite, as_json, **given):
     """Draw the dry capture SCENE from a camera, without looking for its ground.
 
     Arrays: rgb (height, width, 3) display-referred over the background; alpha; depth in capture
@@ -82,23 +84,21 @@ def splat(scene, out, overwrite, threads, as_json, **given):
     if given["hit"] and out.suffix.lower() != ".npz":
         raise ParameterError(f"--hit goes with --out FILE.npz, not {out}; leave it out")
     _check(given)
+    config = settings("moderate", {name: given[name] for name in ("detail", "memory", "threads")})
     require_own_cameras(given["cameras"])
     import numpy as np
 
     from rainsim.jit import set_threads
 
-    set_threads(threads)
+    set_threads(config.threads)
     nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # drawing needs no ground
     capture = load_scene(scene, cameras=given["cameras"], ground_frame=nowhere)
     camera = _camera(capture, given)
     require_backend(given["backend"])
-    from rainsim.commands.given import settings
-
-    render = settings("moderate", {name: given[name] for name in ("detail", "memory")}).render
     notes = [*refused_folders(), *capture.notes, *_memory(capture, camera, out, given["backend"])]
     layers, milliseconds = draw(
         capture, camera, given["depth"], given["backend"], compensate=given["compensate"],
-        background=given["background"], hit=given["hit"], render=render,
+        background=given["background"], hit=given["hit"], render=config.render,
     )  # fmt: skip
     _write(Path(out), layers, camera)
     facts = {
@@ -107,9 +107,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
         "notes": notes,
     }  # fmt: skip
     if as_json:
-        import json
-
-        click.echo(json.dumps(facts, indent=1))
+        options.echo(facts, as_json, "")
         return
     for note in notes:
         click.echo(note, err=True)
@@ -121,14 +119,12 @@ def _check(given):
     if not all(0 <= channel <= 1 for channel in given["background"]):
         shown = ",".join(f"{channel:g}" for channel in given["background"])
         raise ParameterError(f"--background is {shown}; it must be r,g,b from 0 to 1 each")
-    if (given["eye"] is None) != (given["look_at"] is None):
-        raise ParameterError("--eye and --look-at go together; give both")
-    if given["eye"] is not None and given["camera"] is not None:
-        raise ParameterError("--camera and --eye are both given; leave one out")
-    for name in ("fov", "up", "ortho_height"):
+    check_options(given)
+    for name in ("up", "ortho_height"):
         if given[name] is not None and given["eye"] is None:
-            option = name.replace("_", "-")
-            raise ParameterError(f"--{option} goes with --eye and --look-at; give them or leave it")
+            raise ParameterError(
+                f"{dashed(name)} goes with --eye and --look-at; give them or leave it"
+            )
     if given["ortho_height"] is not None:
         require_positive("--ortho-height", given["ortho_height"], "units")
         if given["fov"] is not None:
@@ -142,7 +138,7 @@ def _check(given):
 def _camera(capture, given):
     """Return the camera that the options name or place, in the size asked for."""
     from rainsim.scene.camera_rule import require_camera
-    from rainsim.scene.cameras import PLACED, look_at
+    from rainsim.scene.cameras import PLACED
 
     refusal = "the camera", ParameterError, PLACED
     width, height = given["width"], given["height"]
@@ -153,12 +149,9 @@ def _camera(capture, given):
             height = max(round(width * camera.height / camera.width), 1)
         width = width or round(height * camera.width / camera.height)
         return require_camera(camera.resized(width, height), *refusal)
-    width = width or (round(height * DEFAULT_SHAPE) if height else DEFAULT_WIDTH)
-    height = height or max(round(width / DEFAULT_SHAPE), 1)
-    fov = DEFAULT_FOV if given["fov"] is None else given["fov"]
-    camera = look_at(given["eye"], given["look_at"], _up(capture, given), fov, width, height, "eye")
+    camera = placed_camera(given, _up(capture, given), width, height)
     if given["ortho_height"] is not None:
-        scale = height / given["ortho_height"]
+        scale = camera.height / given["ortho_height"]
         camera = replace(camera, fx=scale, fy=scale, orthographic=True)
         require_camera(camera, *refusal)
     return camera

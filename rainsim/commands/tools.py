@@ -87,24 +87,35 @@ def import_(path, info, lod, **given):
         if scene.pages is None:
             job.scene = scene = import_scene(out)  # its map is kept for the runs of the folder
         calibration = _calibration(job)
-    if job.as_json:
-        result = {
-            "out": str(out), "name": scene.name, "splats": len(scene.splats),
-            "cameras": [camera.name for camera in scene.cameras],
-            "ground_frame": ground_frame_to_dict(frame),
-            "calibration": calibration, "notes": list(scene.notes),
-        }  # fmt: skip
-        click.echo(json.dumps(result, indent=1))
-        return
-    click.echo(f"up                {_shown(frame.up)}")
-    click.echo(f"x axis            {_shown(frame.rotation[0])}")
-    click.echo(f"metres per unit   {frame.meters_per_unit:.6g}{_assumed(frame)}")
-    click.echo(f"origin            {_shown(frame.to_capture((0.0, 0.0, 0.0)))} (capture units)")
-    click.echo(f"confidence        {frame.confidence:.2f}")
+    result = {
+        "out": str(out), "name": scene.name, "splats": len(scene.splats),
+        "cameras": [camera.name for camera in scene.cameras],
+        "ground_frame": ground_frame_to_dict(frame),
+        "calibration": calibration, "notes": list(scene.notes),
+    }  # fmt: skip
+    options.echo(result, job.as_json, _as_text(out, frame, calibration))
+
+
+def _as_text(out, frame, calibration):
+    """Return the ground frame, and what colours are taken for, as lines for a person."""
+
+    def numbers(vector):
+        return ", ".join(f"{v:.5f}" for v in vector)
+
+    assumed = " (ASSUMED)" if frame.scale_assumed else ""
+    lines = [
+        f"up                {numbers(frame.up)}",
+        f"x axis            {numbers(frame.rotation[0])}",
+        f"metres per unit   {frame.meters_per_unit:.6g}{assumed}",
+        f"origin            {numbers(frame.to_capture((0.0, 0.0, 0.0)))} (capture units)",
+        f"confidence        {frame.confidence:.2f}",
+    ]
     if calibration is not None:
-        click.echo(f"albedo            {calibration['note'].partition(': ')[2]}")
-        click.echo(f"zenith            {calibration['zenith']:.2f} x white, under clouds")
-    click.echo(f"scene folder      {out}")
+        lines += [
+            f"albedo            {calibration['note'].partition(': ')[2]}",
+            f"zenith            {calibration['zenith']:.2f} x white, under clouds",
+        ]
+    return "\n".join([*lines, f"scene folder      {out}"])
 
 
 def _calibration(job):
@@ -128,14 +139,6 @@ def _tell_info(path, as_json):
     options.echo(found, as_json, as_text(found))
 
 
-def _shown(vector):
-    return ", ".join(f"{v:.5f}" for v in vector)
-
-
-def _assumed(frame):
-    return " (ASSUMED)" if frame.scale_assumed else ""
-
-
 @click.command(short_help="List the scenes known by name.")
 @options.json_option
 def scenes(as_json):
@@ -150,13 +153,9 @@ def scenes(as_json):
     """
     from rainsim.scene.library import list_scenes
 
-    found = list_scenes()
-    if as_json:
-        rows = [{"name": n, "where": str(w), "built_in": bool(b)} for n, w, b in found]
-        click.echo(json.dumps(rows, indent=1))
-        return
-    for name, where, _ in found:
-        click.echo(f"{name:<20} {where}")
+    rows = [{"name": n, "where": str(w), "built_in": bool(b)} for n, w, b in list_scenes()]
+    lines = [f"{row['name']:<20} {row['where']}" for row in rows]
+    options.echo(rows, as_json, "\n".join(lines))
 
 
 @click.command(short_help="List the presets, or print one.")
@@ -183,11 +182,8 @@ def presets(name, keys, as_json):
         click.echo(json.dumps(settings_of, indent=1) if as_json else preset_text(name), nl=as_json)
         return
     about = {n: _comment(preset_text(n)) for n in preset_names()}
-    if as_json:
-        click.echo(json.dumps(about, indent=1))
-        return
-    for n, text in about.items():
-        click.echo(f"{n:<10} {text}")
+    lines = [f"{n:<10} {text}" for n, text in about.items()]
+    options.echo(about, as_json, "\n".join(lines))
 
 
 def _list_keys(as_json):
@@ -195,13 +191,12 @@ def _list_keys(as_json):
 
     names = ("key", "unit", "default", "choices", "in_keyframes", "meaning")
     rows = [dict(zip(names, row, strict=True)) for row in table()]
-    if as_json:
-        click.echo(json.dumps(rows, indent=1))
-        return
+    lines = []
     for row in rows:
         value = "-" if row["default"] is None else f"{row['default']} {row['unit']}"
         choices = f" ({', '.join(row['choices'])})" if row["choices"] else ""
-        click.echo(f"{row['key']:<24} {value:<14} {row['meaning']}{choices}")
+        lines.append(f"{row['key']:<24} {value:<14} {row['meaning']}{choices}")
+    options.echo(rows, as_json, "\n".join(lines))
 
 
 def _comment(text):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from rainsim.commands import options
-from rainsim.commands.given import check_camera_options, first_frame, masks_named, view_on
+from rainsim.commands.given import first_frame, masks_named, view_on
 from rainsim.commands.job import Job
 from rainsim.errors import ParameterError, counted
 
@@ -42,7 +42,6 @@ def world(scene, parts, **given):
 
     parts = _parts(parts)
     job = Job(given)
-    check_camera_options(given)
     _require_usd()
     first = first_frame(given, job.config.fps)
     with job.compiling([SIMULATE]):
