@@ -14,7 +14,7 @@ NEAR = 0.05  # m from a camera, within which nothing is drawn
 
 
 class Job:
-    """A command at work: its options, and what is made of them, each thing once and in this order.
+    """The options of a command, its settings, status and output folder, and its scene and cameras.
 
     `given` are the options by name, as they were typed; those of the output folder become
     attributes. The settings are those of the option `preset`, else those of `base`, a Config.
