@@ -12,7 +12,7 @@ from rainsim.scene.formats.streamed import LOD_META
 STAGE = "cut"
 
 
-class Chunks:
+class CutChunks:
     """The chunks of a cut that can be gone on with, on the record of its folder.
 
     `resume` says whether whole chunks of an unfinished cut are kept.
@@ -93,7 +93,7 @@ def cut_to_scene(job, file, model):
     })  # fmt: skip
     cut(
         out, blocks, tell=lambda done, total: job.status.progress(STAGE, done, total),
-        antialiased=trained_antialiased(file), keep=Chunks(record, job.resume),
+        antialiased=trained_antialiased(file), keep=CutChunks(record, job.resume),
     )  # fmt: skip
     beside, photos = given["cameras"], given["photos"]
     given |= {"cameras": cameras, "photos": None}

@@ -216,8 +216,8 @@ def render(states, scene, **given):
         )
     ground = ("up", "meters_per_unit", "camera_height", "ground_frame")
     frame_file = states / "ground_frame.json"
-    if all(given.get(name) is None for name in ground) and frame_file.is_file():
-        given["ground_frame"] = frame_file  # the very frame of the height map
+    if all(given[name] is None for name in ground) and frame_file.is_file():
+        job.given["ground_frame"] = frame_file  # the very frame of the height map
     with job.status:
         job.load(scene)
     loaded = job.scene

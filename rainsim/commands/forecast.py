@@ -6,7 +6,7 @@ import shutil
 import time
 from contextlib import suppress
 
-from rainsim.commands.status import Stage, in_words
+from rainsim.commands.status import StageProgress, in_words
 from rainsim.errors import ParameterError, RainsimError
 
 FRAMES = "frames"  # the stage that is looked at
@@ -64,7 +64,7 @@ class Forecast:
     def __init__(self, status, folder, record, cameras, config, video):
         self._status, self._folder, self._video = status, folder, video
         self._config = config
-        self._frames = None if status.quiet else Stage(FRAMES)
+        self._frames = None if status.quiet else StageProgress(FRAMES)
         self.say, self.notes = status.say, status.notes
 
     def progress(self, stage, done, total):

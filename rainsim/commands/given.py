@@ -278,12 +278,11 @@ def dashed(name):
     return f"--{name.replace('_', '-')}"
 
 
-def cameras_of(scene, config, given, most=None, say=None):
+def cameras_of(scene, config, given, say=None):
     """Return the frames' cameras in the frames' size, and the Config with their number of frames.
 
     There is a camera for each frame or one for all. `given` has camera, path, orbit, drive, eye,
-    look_at, fov and frames as they were typed; a path of more than `most` frames is cut to them.
-    `say` is called with notes on a path.
+    look_at, fov and frames as they were typed. `say` is called with notes on a path.
     """
     from rainsim.demo_scenes import FIRST_VIEWS
     from rainsim.scene.cameras import orbit, read_path
@@ -299,7 +298,7 @@ def cameras_of(scene, config, given, most=None, say=None):
             (path, notes), moments = shot_cameras(shot, scene, given, config.fps), ()
             if say is not None:
                 say(notes)
-        cameras, config = _one_per_frame(path, given["path"], config, given, most)
+        cameras, config = _one_per_frame(path, given["path"], config, given)
         if len(moments) >= config.frames:
             config = config.replace(moments=moments[: config.frames])
     elif given.get("orbit"):
@@ -311,7 +310,7 @@ def cameras_of(scene, config, given, most=None, say=None):
                 f"scene {scene.name} has no cameras; --drive moves along them; give --orbit, "
                 "--path transforms.json or --cameras cameras.json"
             )
-        cameras, config = _one_per_frame(scene.cameras, f"scene {scene.name}", config, given, most)
+        cameras, config = _one_per_frame(scene.cameras, f"scene {scene.name}", config, given)
     elif given.get("camera") is None and scene.source is None and scene.name in FIRST_VIEWS:
         eye, target = FIRST_VIEWS[scene.name]
         first, up = {"eye": eye, "look_at": target}, scene.ground_frame.up
@@ -355,10 +354,10 @@ def view_on(scene, terrain, cameras, config, given, status):
     return _sized([chosen], config)
 
 
-def _one_per_frame(cameras, where, config, given, most):
+def _one_per_frame(cameras, where, config, given):
     """Return one camera for each frame, and the Config with the number of frames."""
     if given.get("frames") is None:
-        config = config.replace(frames=min(len(cameras), most or len(cameras))).check()
+        config = config.replace(frames=len(cameras)).check()
     if len(cameras) == 1:
         return list(cameras), config  # it stands still
     if len(cameras) < config.frames:

@@ -123,7 +123,7 @@ class Status:
     def _progress(self, stage, done, total):
         if self._stage is None or stage != self._stage.name:
             self.close()
-            self._stage = Stage(stage)
+            self._stage = StageProgress(stage)
             self._open(stage, done, total)
         self._stage.update(done, total)
         if self._bar is not None:
@@ -158,7 +158,7 @@ class Status:
         with self._lock:
             if self._compiling is None and done < total:
                 self.close()
-                self._compiling = _Compiling(total, processes)
+                self._compiling = _CompileProgress(total, processes)
             if self._compiling is not None:
                 self._compiling.update(share, done)
                 if done == total:
@@ -204,7 +204,7 @@ class Status:
             self._bar, self._stage = None, None
 
 
-class Stage:
+class StageProgress:
     """A stage as lines without a terminal: how far it is, and how long it will still take."""
 
     def __init__(self, name):
@@ -269,7 +269,7 @@ def in_words(seconds):
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
 
 
-class _Compiling:
+class _CompileProgress:
     """The bar, or the lines, of kernels that are being compiled; weighed by what each costs."""
 
     def __init__(self, total, processes):
@@ -302,7 +302,7 @@ class _Compiling:
     def beside(self, stage, done, total):
         """Name the stage that goes on meanwhile."""
         if self.stage is None or self.stage.name != stage:
-            self.stage = Stage(stage)
+            self.stage = StageProgress(stage)
             if self.bar is None:
                 click.echo(f"{stage} ...", err=True)
             else:

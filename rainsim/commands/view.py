@@ -162,7 +162,7 @@ def _serve(status, session, first, out, scene, repeated, port, greeting):
     page = drawing = None
     painter = Painter(
         session, lambda *shown: page.show(*shown), lambda text: page.say(text),
-        lambda error: page.fail(error), leaves=lambda *told: page.leaves(*told),
+        lambda error: page.fail(error), badly_seen=lambda *told: page.show_badly_seen(*told),
     )  # fmt: skip
     try:
         page = Page(painter, Home(Path(out), scene, repeated, click.echo), port, first, greeting)
