@@ -12,7 +12,7 @@ from rainsim.scene.formats.streamed import LOD_META
 STAGE = "cut"
 
 
-class Chunks:
+class CutChunks:
     """The chunks of a cut that can be gone on with, on the record of its folder.
 
     `resume` says whether whole chunks of an unfinished cut are kept.
@@ -69,13 +69,12 @@ def require_cuttable(path):
     return file, model
 
 
-def cut_to_scene(status, file, model, out, given, resume):
-    """Cut a splat file into chunks in a folder; return the Scene of them and the record.
+def cut_to_scene(job, file, model):
+    """Cut a splat file into chunks in the folder of a `Job`, set its scene; return the record.
 
-    File and model are as `require_cuttable` returns them, `given` are the options of the ground.
+    File and model are as `require_cuttable` returns them.
     """
     from rainsim.commands.given import scene_of
-    from rainsim.commands.status import say_scene
     from rainsim.io.fingerprint import hash_of, hash_of_file
     from rainsim.lod.cut import cut
     from rainsim.output_folder import Record, input_facts
@@ -84,7 +83,8 @@ def cut_to_scene(status, file, model, out, given, resume):
     from rainsim.scene.formats import splat_blocks, trained_antialiased
     from rainsim.scene.photographs import with_photographs
 
-    cameras = given.get("cameras")
+    out, given = job.out, {name: job.given[name] for name in job.given if name != "threads"}
+    cameras = given["cameras"]
     cameras, notes = load_cameras(cameras) if cameras else cameras_beside(file, model)
     blocks, _ = splat_blocks(file)
     record = Record(out, None, {
@@ -92,16 +92,15 @@ def cut_to_scene(status, file, model, out, given, resume):
         "options": {name: str(value) for name, value in given.items()},
     })  # fmt: skip
     cut(
-        out, blocks, tell=lambda done, total: status.progress(STAGE, done, total),
-        antialiased=trained_antialiased(file), keep=Chunks(record, resume),
+        out, blocks, tell=lambda done, total: job.status.progress(STAGE, done, total),
+        antialiased=trained_antialiased(file), keep=CutChunks(record, job.resume),
     )  # fmt: skip
-    beside, photos = given.get("cameras"), given.get("photos")
-    given = given | {"cameras": cameras, "photos": None}
+    beside, photos = given["cameras"], given["photos"]
+    given |= {"cameras": cameras, "photos": None}
     scene = scene_of(str((out / LOD_META).resolve()), given)
-    keep = given.get("ground_frame") is not None
+    keep = given["ground_frame"] is not None
     scene = with_photographs(scene, file, beside, photos, keep)
     name = model.resolve().name if file.stem in ("point_cloud", "meta") else file.stem
-    scene = replace(scene, name=name, source=file, notes=(*scene.notes, *notes))
-    say_scene(status, scene)
-    record.facts["input"] = input_facts(scene, out)
-    return scene, record
+    job.set_scene(replace(scene, name=name, source=file, notes=(*scene.notes, *notes)))
+    record.facts["input"] = input_facts(job.scene, out)
+    return record

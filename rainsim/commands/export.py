@@ -9,11 +9,10 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.compile import compiled_beside, uses_of
-from rainsim.commands.given import check_camera_options, paths_in, require_backend, settings
-from rainsim.commands.optics import lens_of, optics_options, pane_of, readout_of
-from rainsim.commands.options import FILE, PRESETS
-from rainsim.commands.status import Status, loaded_scene
+from rainsim.commands.compile import uses_of
+from rainsim.commands.given import optics_of, require_backend
+from rainsim.commands.job import Job
+from rainsim.commands.options import FILE, PRESETS, group, option
 from rainsim.datasets import LAYOUTS, SCANNED
 from rainsim.errors import ParameterError, counted
 
@@ -22,105 +21,56 @@ MOST_RAINS = 64
 ROUNDED = 1e-9  # by which the shape of a pixel may differ from rounding alone
 MOST_LAYERS = 26  # AOVs of a picture's labels, and those of two that are being written
 
+# fmt: off
+_data_options = group(
+    option("layout", click.Choice(LAYOUTS), "Whose names, folders and encodings.",
+           default="nerfstudio"),
+    option("rain rains", str, "Rain rates in mm/h; 0 is the clear picture: the dry capture as it "
+           "was taken.", "MM/H,MM/H", default=DEFAULT_RAINS),
+    option("views", str, "Cameras of the capture: all, N of them evenly in their order, or by name "
+           "(12, is the camera 12). All see one moment.", "all|N|NAME,NAME", default="all"),
+    option("path", FILE, "A camera path instead, as `rainsim run` takes it: its views follow one "
+           "another in time, and have flow.", "FILE"),
+    options.shot_options,
+    option("drive", bool, "The chosen views follow one another in time, and have flow."),
+    option("fps", float, "Views per second with --drive.", shows=PRESETS),
+    option("drive-speed", float, "Place the views of --drive by this speed along the path of the "
+           "cameras: all that it has room for, or the first N of --views N.", "KM/H",
+           shows="what views and --fps make"),
+    option("hold-out", click.IntRange(0), "Hold out every N-th view to test and to validate, in "
+           "turn; 0 holds none out.", "N",
+           shows="8; of fewer than 16 views so that two are"),
+    options.optics_options,
+    option("lidar", click.Choice(("vlp16", "hdl32", "hdl64")), "Which lidar stands at the camera; "
+           "with --layout kitti_object or semantic_kitti.", shows="hdl64"),
+    option("rig", FILE, "Cameras and lidars on a vehicle that follows --drive or --path, each at "
+           "its own times.", "FILE.toml"),
+    option("partners", bool, "Of each rainy picture also the same without what falls, without "
+           "drops on the glass, and dry: in the folder rainsim."),
+    option("labels", click.Path(path_type=Path), "Your own ids: one for each splat, or masks named "
+           "as the capture's cameras.", "FILE.npy|FOLDER"),
+)
+_size_options = group(
+    option("width", int, "Width of the pictures in px.", "PX", shows="648"),
+    option("height", int, "Height of the pictures in px; with --width the picture is cropped.",
+           "PX", shows="the camera's shape"),
+)
+# fmt: on
+
 
 @click.command(short_help="Write a data set: clear and rainy pictures with labels.")
 @click.argument("scene", default="bicycle")
-@click.option(
-    "--layout",
-    type=click.Choice(LAYOUTS),
-    default="nerfstudio",
-    show_default=True,
-    help="Whose names, folders and encodings.",
-)
-@click.option(
-    "--rain",
-    "rains",
-    metavar="MM/H,MM/H",
-    default=DEFAULT_RAINS,
-    show_default=True,
-    help="Rain rates in mm/h; 0 is the clear picture: the dry capture as it was taken.",
-)
-@click.option(
-    "--views",
-    metavar="all|N|NAME,NAME",
-    default="all",
-    show_default=True,
-    help="Cameras of the capture: all, N of them evenly in their order, or by name (12, is the "
-    "camera 12). All see one moment.",
-)
-@click.option(
-    "--path",
-    type=FILE,
-    metavar="FILE",
-    help="A camera path instead, as `rainsim run` takes it: its views follow one another in time, "
-    "and have flow.",
-)
-@options.shot_options
-@click.option(
-    "--drive", is_flag=True, help="The chosen views follow one another in time, and have flow."
-)
-@click.option("--fps", type=float, show_default=PRESETS, help="Views per second with --drive.")
-@click.option(
-    "--drive-speed",
-    type=float,
-    metavar="KM/H",
-    show_default="what views and --fps make",
-    help="Place the views of --drive by this speed along the path of the cameras: all that it has "
-    "room for, or the first N of --views N.",
-)
-@click.option(
-    "--hold-out",
-    type=click.IntRange(0),
-    metavar="N",
-    show_default="8; of fewer than 16 views so that two are",
-    help="Hold out every N-th view to test and to validate, in turn; 0 holds none out.",
-)
-@optics_options
-@click.option(
-    "--lidar",
-    type=click.Choice(("vlp16", "hdl32", "hdl64")),
-    show_default="hdl64",
-    help="Which lidar stands at the camera; with --layout kitti_object or semantic_kitti.",
-)
-@click.option(
-    "--rig",
-    type=FILE,
-    metavar="FILE.toml",
-    help="Cameras and lidars on a vehicle that follows --drive or --path, each at its own times.",
-)
-@click.option(
-    "--partners",
-    is_flag=True,
-    help="Of each rainy picture also the same without what falls, without drops on the glass, and "
-    "dry: in the folder rainsim.",
-)
-@click.option(
-    "--labels",
-    type=click.Path(path_type=Path),
-    metavar="FILE.npy|FOLDER",
-    help="Your own ids: one for each splat, or masks named as the capture's cameras.",
-)
+@_data_options
 @options.preset_option
 @options.shower_options
 @options.light_options
-@click.option(
-    "--width", type=int, metavar="PX", show_default="648", help="Width of the pictures in px."
-)
-@click.option(
-    "--height",
-    type=int,
-    metavar="PX",
-    show_default="the camera's shape",
-    help="Height of the pictures in px; with --width the picture is cropped.",
-)
+@_size_options
 @options.backend_option
 @options.ground_options
 @options.terrain_options
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-LAYOUT")
-def export(
-    scene, layout, rains, out, overwrite, resume, as_json, quiet, backend, preset, labels, **given
-):  # fmt: skip
+def export(scene, layout, rains, **given):
     """Write a data set of SCENE: each view clear and in each rain, with labels.
 
     Labels: depth, range, classes of ground and water, puddles, splashes, masks of what rain spoils,
@@ -132,47 +82,37 @@ def export(
         rainsim export bicycle --layout nerfstudio --rain 0,10,50 --views 24
         rainsim export street --layout kitti --drive --rain 0,25 --out street-kitti
     """
-    status = Status(quiet)
     rates = rains_of(rains)
-    given = {**given, "frames": None}
-    config = settings(preset, given)
-    check_camera_options(given)
+    job = Job({**given, "frames": None})
+    given, config, backend = job.given, job.config, job.backend
     if given["path"] is not None and (given["views"] != "all" or given["drive"]):
         raise ParameterError("--path is a sequence of its own; leave out --views and --drive")
     if given["drive_speed"] is not None:
         from rainsim.datasets.pace import check_speed
 
         check_speed(given["drive_speed"])
-        if not given["drive"]:
-            raise ParameterError("--drive-speed is the speed of --drive; give that too")
     if layout not in SCANNED and given["lidar"] is not None:
         raise ParameterError(
             f"--lidar is of --layout {' or '.join(SCANNED)}; give one, or leave it out"
         )
-    lens, rig = lens_of(given), _rig(given, config, layout)
+    from rainsim.sensors.optics import Optics
+
+    optics, rig = optics_of(given) or Optics(), _rig(given, config, layout)
     if backend == "cuda":
         from rainsim.sensors.rolling import check_rows
 
         own = [] if rig is None else [sensor.readout for sensor in rig.cameras]
-        check_rows(max(readout_of(given), *own, 0.0), config)
+        check_rows(max(optics.readout, *own, 0.0), config)
     require_backend(backend)
     from rainsim.datasets.shots import FLOWS, LABELS
 
     uses = uses_of(scene, config, (*LABELS, *FLOWS), backend)
-    with status, compiled_beside(status, uses, config.threads):
-        loaded = loaded_scene(status, scene, given)
-        out = out or options.default_out(loaded.name, layout)
-        cameras = _cameras(status, loaded, config, given)
-        plan = _plan(status, loaded, cameras, lens, rates, config, layout, given, rig)
-        card = _write(
-            status, loaded, plan, config, layout=layout, out=out, overwrite=overwrite,
-            resume=resume, backend=backend, labels=labels, given=given,
-        )  # fmt: skip
-    from rainsim.output_folder import relative
-
-    total = counted(card["pictures"], "picture")
-    status.say(f"{total} in {relative(out)} ({status.seconds:.1f} s)")
-    options.echo({"out": str(out), **card}, as_json, str(out))
+    with job.compiling(uses):
+        job.load(scene)
+        job.out = job.out or options.default_out(job.scene.name, layout)
+        plan = _plan(job, _cameras(job), optics.lens, rates, layout, rig)
+        card = _write(job, plan, layout, optics)
+    job.finish(counted(card["pictures"], "picture"), card, more=f" ({job.status.seconds:.1f} s)")
 
 
 def _rig(given, config, layout):
@@ -211,20 +151,21 @@ def rains_of(text):
     return tuple(rates)
 
 
-def _cameras(status, scene, config, given):
+def _cameras(job):
     """Return the data set's cameras, sized, in the capture frame."""
     from rainsim.commands.given import named_camera, shot_cameras, shot_in
     from rainsim.scene.cameras import read_cameras, resize_to
     from rainsim.surface.offered_views import with_offered_cameras
 
-    views, scene = given["views"], with_offered_cameras(scene)
+    given, config, scene = job.given, job.config, with_offered_cameras(job.scene)
+    views = given["views"]
     if given["path"] is not None:
         shot = shot_in(given, config.fps)
         if shot is None:
             cameras = read_cameras(given["path"])
         else:
             cameras, notes = shot_cameras(shot, scene, given, config.fps)
-            status.notes(notes)
+            job.status.notes(notes)
     elif views == "all" or (given["drive_speed"] is not None and _number_of(views)):
         cameras = scene.cameras
     elif _number_of(views):
@@ -262,13 +203,14 @@ def _number_of(views):
     return int(views) if is_number else None
 
 
-def _plan(status, scene, cameras, lens, rates, config, layout, given, rig=None):
+def _plan(job, cameras, lens, rates, layout, rig=None):
     from rainsim.datasets.export import safe_names
     from rainsim.datasets.points import points_of
     from rainsim.datasets.sample import Plan, View
     from rainsim.datasets.splits import check_hold_out, held_out, split_note, usual_hold_out
     from rainsim.render.labels import class_names
 
+    given, scene, fps = job.given, job.scene, job.config.fps
     sequence = given["drive"] or given["path"] is not None
     if sequence and len({(c.width, c.height) for c in cameras}) > 1:
         raise ParameterError(
@@ -276,7 +218,7 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given, rig=None):
         )
     cameras = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     if given["drive"]:
-        cameras = _driven(status, scene, cameras, config.fps, given)
+        cameras = _driven(job, cameras)
     every, turns = given["hold_out"], ()
     if every is None:
         every = usual_hold_out(len(cameras))
@@ -284,55 +226,56 @@ def _plan(status, scene, cameras, lens, rates, config, layout, given, rig=None):
     if rig is not None:
         from rainsim.datasets.rig_shots import offset_notes, rig_views
 
-        status.notes(offset_notes(rig, layout))
-        views, turns = rig_views(rig, cameras, config.fps, layout)
+        job.status.notes(offset_notes(rig, layout))
+        views, turns = rig_views(rig, cameras, fps, layout)
     else:
         named = zip(safe_names(cameras), cameras, strict=True)
         views = [View(k, name, camera, lens) for k, (name, camera) in enumerate(named)]
     views = held_out(views, every)
-    status.notes([split_note(views, layout)])
+    job.status.notes([split_note(views, layout)])
     partners = ("clear_air", "dry") if given["partners"] else ()
     if partners and given["glass"] is not None:
         partners += ("no_glass",)
     return Plan(
         options.plain(scene.name), views, rates, sequence, *points_of(scene), class_names(),
-        partners, 1 / config.fps if sequence else 0.0, rig, turns,
+        partners, 1 / fps if sequence else 0.0, rig, turns,
     )  # fmt: skip
 
 
-def _driven(status, scene, cameras, fps, given):
+def _driven(job, cameras):
     """Return the views of a drive, in the ground frame; say how fast it is, or refuse it."""
     from rainsim.datasets.pace import check_pace, pace_note, placed_by_speed
 
-    assumed, speed = scene.ground_frame.scale_assumed, given["drive_speed"]
+    fps, speed = job.config.fps, job.given["drive_speed"]
+    assumed = job.scene.ground_frame.scale_assumed
     if speed is not None:
-        cameras = placed_by_speed(cameras, speed, fps, _number_of(given["views"]))
+        cameras = placed_by_speed(cameras, speed, fps, _number_of(job.given["views"]))
     else:
         check_pace(cameras, fps, assumed)
-    status.notes([pace_note(cameras, fps, assumed)])
+    job.status.notes([pace_note(cameras, fps, assumed)])
     return cameras
 
 
-def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backend, labels, given):
+def _write(job, plan, layout, optics):
     """Draw and write the data set; return its card."""
     from rainsim.datasets.export import DataSetFolder, read_card
     from rainsim.datasets.export import export as write_all
     from rainsim.datasets.shots import Shots
     from rainsim.io.fingerprint import hash_of, hash_of_array
-    from rainsim.jit import set_threads
-    from rainsim.output_folder import claimed, scene_content, settings_content
+    from rainsim.output_folder import scene_content, settings_content
     from rainsim.render.memory import memory_notes
     from rainsim.scene.cameras import cameras_to_data
     from rainsim.sensors.optics import Optics
 
+    given, scene, config, status = job.given, job.scene, job.config, job.status
     user_labels = None
-    if labels is not None:
+    if given["labels"] is not None:
         from rainsim.datasets.user_labels import read_labels
 
-        user_labels = read_labels(labels, scene, config.render)
+        user_labels = read_labels(given["labels"], scene, config.render)
     content = {
         "scene": scene_content(scene), "settings": settings_content(config),
-        "rates": plan.rates, "sequence": plan.sequence, "backend": backend,
+        "rates": plan.rates, "sequence": plan.sequence, "backend": job.backend,
         "cameras": hash_of(cameras_to_data([view.camera for view in plan.views])),
         "names": [[view.name, view.held_out] for view in plan.views],
         "lens": str(plan.views[0].lens), "rolling": given["rolling"],
@@ -340,30 +283,27 @@ def _write(status, scene, plan, config, *, layout, out, overwrite, resume, backe
         "lidar": given["lidar"], "rig": None if plan.rig is None else plan.rig.facts(),
         "labels": None if user_labels is None else hash_of_array(user_labels.ids),
     }  # fmt: skip
-    sources = [scene.source, labels, *paths_in(given)]
-    pane = pane_of(given)
-    if pane is not None:
+    if optics.pane is not None:
         for view in plan.views:
-            Optics(view.lens, pane).drawn(view.camera)  # raises
-    with claimed(out, overwrite, resume, sources):
-        set_threads(config.threads)
-        folder = DataSetFolder(out, layout, plan, content, scene, resume, overwrite)
+            Optics(view.lens, optics.pane).drawn(view.camera)  # raises
+    with job.folder(scene.source):
+        kept = job.resume, job.overwrite
+        folder = DataSetFolder(job.out, layout, plan, content, scene, *kept)
         if folder.kept:
             status.say(f"{len(folder.kept)} of {folder.count} pictures are finished and kept")
-        from rainsim.pipeline import extract_terrain
-
-        terrain = extract_terrain(scene, config, None, status.progress, status.notes)
+        terrain = job.extract_terrain()
         lidar = (given["lidar"] or "hdl64") if layout in SCANNED else None
         if plan.rig is not None:
             from rainsim.datasets.rig_shots import RigShots
 
-            shots = RigShots(scene, terrain, plan, config, backend, user_labels, given["partners"])
+            more = job.backend, user_labels, given["partners"]
+            shots = RigShots(scene, terrain, plan, config, *more)
         else:
             shots = Shots(
-                scene, terrain, plan.views, config, plan.sequence, backend, user_labels,
-                readout_of(given), pane, given["partners"], lidar,
+                scene, terrain, plan.views, config, plan.sequence, job.backend, user_labels,
+                optics.readout, optics.pane, given["partners"], lidar,
             )  # fmt: skip
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))
         write_all(shots, folder, shots.config_of, status.progress)
-    return read_card(Path(out))
+    return read_card(job.out)

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from rainsim.commands import options
-from rainsim.commands.compile import compiled_beside, uses_of
+from rainsim.commands.compile import uses_of
 from rainsim.commands.forecast import Forecast, exr_of, format_of
 from rainsim.commands.given import (
-    cameras_of,
-    check_camera_options,
     first_frame,
-    mask_of,
     masks_named,
-    paths_in,
+    optics_of,
     require_backend,
-    settings,
     view_on,
-    water_mask_of,
 )
-from rainsim.commands.optics import content_of, drawn_camera, optics_of, shot_options
-from rainsim.commands.status import Status, loaded_scene
+from rainsim.commands.job import Job
 from rainsim.errors import InputError, ParameterError, counted
 
 SIMULATION = "simulation.json"
@@ -36,7 +31,8 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.light_options
 @options.camera_options
 @options.picture_options
-@shot_options
+@options.optics_options
+@options.shutter_option
 @options.big_options
 @options.backend_option
 @options.shared_range_option
@@ -47,10 +43,7 @@ VERSION = 1  # of simulation.json; those without a version are of version 1
 @options.mask_options
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-PRESET")
-def run(
-    scene, preset, out, overwrite, resume, as_json, quiet, video, layers, backend, class_mask,
-    **given,
-):  # fmt: skip
+def run(scene, **given):
     """Draw a scene in the rain, all steps from a capture to frames.
 
     Writes DIR/frames/00000.png and so on, preview.webp, transforms.json (the frames' cameras) and
@@ -62,34 +55,23 @@ def run(
         rainsim run --scene garden/ --preset moderate --camera DSC07956
         rainsim run --scene garden/ --rain 50 --wind 4,90 --orbit --frames 48 --out wet
     """
-    status = Status(quiet)
-    config = settings(preset, given)
-    video, exr, names, optics = _check_before_loading(given, config, video, layers, backend)
-    mask, water = mask_of(class_mask), water_mask_of(given)
-    uses = uses_of(scene, config, names, backend)
-    with status, compiled_beside(status, uses, config.threads) as pool:
-        loaded = loaded_scene(status, scene, given)
-        cameras, config = cameras_of(loaded, config, given, say=status.notes)
-        _say_moments(status, config)
-        _require_memory(loaded, cameras, names, exr, optics, backend)  # without the map's cells
-        out = out or options.default_out(loaded.name, Path(preset).stem)
+    job = FilmJob(given)
+    masks = job.read_masks()
+    with job.compiling(uses_of(scene, job.config, job.layers, job.backend)):
+        job.load(scene)
+        job.find_cameras()
+        job.memory_notes(job.cameras)  # raises; the map's cells come later
+        job.out = job.out or options.default_out(job.scene.name, Path(job.preset).stem)
 
-        def film(config):
-            from rainsim.pipeline import FrameSequence, ground_of
+        def frames(config):
+            from rainsim.pipeline import ground_of
 
-            tell = status.progress, status.notes
-            ground = ground_of(loaded, config, cameras, backend, mask, *tell, water)
-            path = view_on(loaded, ground, cameras, config, given, status)
-            _say_memory(status, loaded, ground, path, names, exr, optics, backend)
-            more = {"exr": exr, "optics": optics}
-            return path, FrameSequence(loaded, ground, path, config, backend, names, **more)
+            tell = job.status.progress, job.status.notes
+            mask, water = masks
+            ground = ground_of(job.scene, config, job.cameras, job.backend, mask, *tell, water)
+            return job.frames(ground, config)
 
-        content = {"layers": names, "backend": backend, **masks_named(class_mask, given)}
-        content |= content_of(exr, optics)
-        files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
-        files |= {"as_json": as_json, "farm": (given, backend, pool)}
-        files["sources"] = [loaded.source, class_mask, *paths_in(given)]
-        _write_frames(status, film, loaded, config, preset, content, **files)
+        job.write(frames, masks_named(given), job.scene.source)
 
 
 @click.command(short_help="Let it rain on a height map.")
@@ -99,7 +81,7 @@ def run(
 @options.range_option
 @options.resume_option
 @options.output_options("rainsim-out/TERRAIN-PRESET-states")
-def simulate(terrain, preset, out, overwrite, resume, threads, as_json, quiet, **given):
+def simulate(terrain, **given):
     """Let it rain on TERRAIN, a folder that `rainsim heightmap` wrote.
 
     Writes DIR/states/00000.npz and so on: water depth, flow, ripples and impacts at the time of
@@ -109,32 +91,24 @@ def simulate(terrain, preset, out, overwrite, resume, threads, as_json, quiet, *
     Example:
         rainsim simulate rainsim-out/bicycle-terrain --preset downpour --out states
     """
-    status = Status(quiet)
-    config = settings(preset, {**given, "threads": threads})
-    from rainsim.output_folder import claimed, relative
+    from rainsim.compiling.uses import SIMULATE
     from rainsim.render.memory import require_memory_of_water
     from rainsim.terrain.map_files import read_terrain
 
+    job = Job(given)
     ground = read_terrain(terrain)
-    status.notes(require_memory_of_water(ground.bed.size))
+    job.status.notes(require_memory_of_water(ground.bed.size))
     source = terrain if terrain.is_dir() else terrain.parent
     name = source.resolve().name.removesuffix("-terrain")
-    out = out or options.default_out(name, Path(preset).stem, "states")
-    from rainsim.compiling.uses import SIMULATE
-
-    with (
-        status,
-        claimed(out, overwrite, resume, [terrain, *paths_in(given)]),
-        compiled_beside(status, [SIMULATE], config.threads),
-    ):
-        _set_up(config)
-        record, ledger = _write_states(status, ground, terrain, config, preset, out, resume)
-    status.say(f"{counted(len(config.indices), 'water state')} in {relative(out)}")
-    result = {"out": str(out), "states": record.files, "ledger": ledger}
-    options.echo(result, as_json, str(out))
+    job.out = job.out or options.default_out(name, Path(job.preset).stem, "states")
+    with job.folder(terrain), job.compiling([SIMULATE]):
+        map_file = source / "terrain.npz" if terrain.is_dir() else terrain
+        record, ledger = _write_states(job, ground, source, map_file)
+    states = counted(len(job.config.indices), "water state")
+    job.finish(states, {"states": record.files, "ledger": ledger})
 
 
-def _write_states(status, ground, terrain, config, preset, out, resume):
+def _write_states(job, ground, source, map_file):
     """Simulate and write the states that are not finished yet; return the record and the ledger."""
     from rainsim import output_folder
     from rainsim.io.fingerprint import hash_of_file
@@ -142,26 +116,25 @@ def _write_states(status, ground, terrain, config, preset, out, resume):
     from rainsim.pipeline import frames_of
     from rainsim.pipeline import simulate as simulate_water
 
-    source = terrain if terrain.is_dir() else terrain.parent
-    map_file = source / "terrain.npz" if terrain.is_dir() else terrain
-    origin = output_folder.read_record(source).get("input")
-    facts = output_folder.settings_facts(config, preset)
+    config, status = job.config, job.status
     content = {
         "settings": output_folder.settings_content(config), "terrain": hash_of_file(map_file),
     }  # fmt: skip
-    record = output_folder.Record(out, None, content, **facts, terrain_input=origin)
+    origin = output_folder.read_record(source).get("input")
+    facts = output_folder.settings_facts(config, job.preset)
+    record = output_folder.Record(job.out, None, content, **facts, terrain_input=origin)
     part, kinds = output_folder.STATE, output_folder.STATE_FACTS
-    kept = record.resume(config.indices, part, kinds) if resume else {}
+    kept = record.resume(config.indices, part, kinds) if job.resume else {}
     ledgers = {index: entry["ledger"] for index, entry in kept.items()}
     if kept:
         status.say(f"{len(kept)} of {len(config.indices)} states are finished and kept")
     water = simulate_water(ground, config)
     for state in frames_of(water, config, status.progress, kept):
         if not record.files:  # now that there is something to write
-            _write_simulation(out, source, map_file, record, config, preset, origin)
+            _write_simulation(job, record, source, map_file, origin)
         status.notes(state.notes)
         name = part.format(state.index)
-        write_state(out / name, state)
+        write_state(job.out / name, state)
         ledgers[state.index] = state.ledger
         host = output_folder.host_facts()
         record.journal.add(
@@ -169,19 +142,20 @@ def _write_states(status, ground, terrain, config, preset, out, resume):
         )
         status.progress("simulate frames", len(ledgers), len(config.indices))
     if not record.files:
-        _write_simulation(out, source, map_file, record, config, preset, origin)
+        _write_simulation(job, record, source, map_file, origin)
     record.add(output_folder.JOURNAL, *(part.format(index) for index in config.indices))
     ledger = ledgers[max(ledgers)]
     record.write(complete=True, ledger=ledger)
     return record, ledger
 
 
-def _write_simulation(out, source, map_file, record, config, preset, origin):
+def _write_simulation(job, record, source, map_file, origin):
     """Begin to write; write what `render` needs besides the states: settings, map, ground frame."""
     from rainsim.config.preset_files import SKIES
     from rainsim.io.files import named_path, path_named, replacing, write_json
 
     record.begin()
+    out, config = job.out, job.config
     (out / "states").mkdir(exist_ok=True)
     copied = {"terrain.npz": map_file}
     if (source / "ground_frame.json").is_file():
@@ -195,7 +169,7 @@ def _write_simulation(out, source, map_file, record, config, preset, origin):
         settings["render"]["sky"] = named_path(config.render.sky, out)
     if isinstance(origin, dict) and isinstance(origin.get("source"), str):
         origin = {**origin, "source": named_path(path_named(origin["source"], source), out)}
-    facts = {"rainsim_simulation": VERSION, "preset": str(preset), "settings": settings}
+    facts = {"rainsim_simulation": VERSION, "preset": str(job.preset), "settings": settings}
     write_json(out / SIMULATION, {**facts, "input": origin})
     record.add(SIMULATION, *copied)
     record.write(complete=False)
@@ -203,17 +177,13 @@ def _write_simulation(out, source, map_file, record, config, preset, origin):
 
 @click.command(short_help="Draw frames from simulated water.")
 @click.argument("states", type=options.FOLDER)
-@click.option(
-    "--scene",
-    "-s",
-    metavar="NAME|PATH",
-    show_default="the one that the states were made for",
-    help="The capture to draw.",
-)
+@options.option("scene -s", str, "The capture to draw.", "NAME|PATH",
+                "the one that the states were made for")  # fmt: skip
 @options.light_options
 @options.camera_options
 @options.picture_options
-@shot_options
+@options.optics_options
+@options.shutter_option
 @options.big_options
 @options.backend_option
 @options.shared_range_option
@@ -221,9 +191,7 @@ def _write_simulation(out, source, map_file, record, config, preset, origin):
 @options.ground_options
 @options.resume_option
 @options.output_options("rainsim-out/STATES-frames")
-def render(
-    states, scene, out, overwrite, resume, as_json, quiet, video, layers, backend, **given
-):  # fmt: skip
+def render(states, scene, **given):
     """Draw frames from STATES, a folder that `rainsim simulate` wrote, for any camera.
 
     The drops in the air follow from the seed. The rain is that of the simulation; light, camera and
@@ -236,11 +204,9 @@ def render(
     from rainsim.io.files import path_named
     from rainsim.output_folder import states_content
 
-    status = Status(quiet)
     made = read_simulation(states)
-    config = settings(None, given, base=made["config"])
-    video, exr, names, optics = _check_before_loading(given, config, video, layers, backend)
-    origin = made["origin"]
+    job = FilmJob(given, base=made["config"])
+    job.preset, origin = made["preset"], made["origin"]
     if scene is None and origin["source"]:
         scene = str(path_named(origin["source"], states))
     scene = scene or origin["scene"]
@@ -250,47 +216,32 @@ def render(
         )
     ground = ("up", "meters_per_unit", "camera_height", "ground_frame")
     frame_file = states / "ground_frame.json"
-    if all(given.get(name) is None for name in ground) and frame_file.is_file():
-        given["ground_frame"] = frame_file  # the very frame of the height map
-    with status:
-        loaded = loaded_scene(status, scene, given)
+    if all(given[name] is None for name in ground) and frame_file.is_file():
+        job.given["ground_frame"] = frame_file  # the very frame of the height map
+    with job.status:
+        job.load(scene)
+    loaded = job.scene
     if origin["sha256"] not in (None, "", loaded.source_hash):
         raise InputError(
             f"the states in {states} were made for other splats than scene {loaded.name}; both "
             "must be of one capture; give the right --scene, or simulate again"
         )
-    cameras, config = cameras_of(loaded, config, given, config.frames, status.notes)
-    _say_moments(status, config)
-    out = out or options.default_out(states.resolve().name, "frames")
+    job.find_cameras()
+    job.out = job.out or options.default_out(states.resolve().name, "frames")
+    for index in job.config.indices:
+        _state_file(states, job.config.moment(index))
 
-    def film(config):
+    def frames(config):
         from rainsim.io.states import read_state
-        from rainsim.pipeline import FrameSequence
         from rainsim.terrain.map_files import read_terrain
 
-        ground = read_terrain(states)
-        path = view_on(loaded, ground, cameras, config, given, status)
-        _say_memory(status, loaded, ground, path, names, exr, optics, backend)
+        ground, folder = read_terrain(states), states.resolve()  # workers are elsewhere
+        return job.frames(
+            ground, config, lambda index: read_state(_state_file(folder, index), ground)
+        )
 
-        folder = states.resolve()  # workers are elsewhere
-
-        def state_of(index):
-            return read_state(_state_file(folder, index), ground)
-
-        more = {"states": state_of, "exr": exr, "optics": optics}
-        return path, FrameSequence(loaded, ground, path, config, backend, names, **more)
-
-    for index in config.indices:
-        _state_file(states, config.moment(index))
-    preset = made["preset"]
-    content = {"layers": names, "backend": backend, "states": states_content(states)}
-    content |= content_of(exr, optics)
-    files = {"out": out, "overwrite": overwrite, "resume": resume, "video": video}
-    files["sources"] = [states, loaded.source, *paths_in(given)]
-    uses = uses_of(loaded.source or loaded.name, config, names, backend)
-    with status, compiled_beside(status, uses, config.threads) as pool:
-        files |= {"as_json": as_json, "farm": (given, backend, pool)}
-        _write_frames(status, film, loaded, config, preset, content, **files)
+    with job.compiling(uses_of(loaded.source or loaded.name, job.config, job.layers, job.backend)):
+        job.write(frames, {"states": states_content(states)}, states, loaded.source)
 
 
 def _state_file(states, index):
@@ -341,17 +292,99 @@ def _origin(made, path):
 # --- what run and render share --------------------------------------------------------------------
 
 
-def _check_before_loading(given, config, video, layers, backend):
-    """Return formats of video and EXR, layers and optics; raise for what could only fail later."""
-    check_camera_options(given)
-    _check_farm(given)
-    require_backend(backend)
-    start = round(first_frame(given, config.fps))
-    video = format_of(video, given, start)
-    from rainsim.render.aov import parse_names
+class FilmJob(Job):
+    """A job that draws frames: their cameras, and the files that they are written to.
 
-    exr, names = exr_of(given, config.fps, parse_names(layers), start, video)
-    return video, exr, names, optics_of(given, backend, names, exr, config)
+    All that can be known to fail is refused before a scene is loaded. `video` and `exr` are the
+    formats of files besides the frames, `layers` the names of the layers that frames need.
+    """
+
+    def __init__(self, given, base=None):
+        super().__init__(given, base)
+        _check_farm(given)
+        require_backend(self.backend)
+        start = round(first_frame(given, self.config.fps))
+        self.video = format_of(given, start)
+        from rainsim.render.aov import parse_names
+
+        names = parse_names(given["layers"])
+        self.exr, self.layers = exr_of(given, self.config.fps, names, start)
+        self.optics = optics_of(given)
+        if self.optics is not None:
+            self.optics.check(self.backend, self.layers, self.exr, self.config)
+
+    def find_cameras(self):
+        """Find the frames' cameras; say which times of the rain they see if their path says so."""
+        super().find_cameras()
+        if moments := self.config.moments:
+            first, last = (moments[k] / self.config.fps for k in (0, -1))
+            rain = f"the rain from {first:g} to {last:g} s"
+            self.status.notes([f"frames show {rain}, as render_time of the path says"])
+
+    def memory_notes(self, cameras, cells=0):
+        """Return a note on the memory that frames take, if it is much, or raise ParameterError."""
+        from rainsim.backend import free_device_memory
+        from rainsim.render.memory import layers_held, memory_notes
+
+        layers = layers_held(self.layers, self.exr, self.optics)
+        camera = cameras[0] if self.optics is None else self.optics.drawn(cameras[0])
+        return memory_notes(self.scene, camera, cells, layers, free_device_memory(self.backend))
+
+    def frames(self, ground, config, states=None):
+        """Return the `FrameSequence` on a ground; `states` are those of the water, if simulated."""
+        from rainsim.pipeline import FrameSequence
+
+        cameras = view_on(self.scene, ground, self.cameras, config, self.given, self.status)
+        self.status.notes(self.memory_notes(cameras, ground.cells))
+        return FrameSequence(
+            self.scene, ground, cameras, config, self.backend, self.layers, states, self.exr,
+            self.optics,
+        )  # fmt: skip
+
+    def write(self, frames, content, *sources):
+        """Draw frames into the output folder and say how it went.
+
+        `frames(config)` returns the `FrameSequence`; `content` is what they depend on besides
+        scene, settings, cameras and what this job writes; `sources` are read besides what options
+        name.
+        """
+        from rainsim import output_folder
+        from rainsim.render.frame_files import FRAME, mean_milliseconds
+
+        config, status = self.config, self.status
+        content |= {"layers": self.layers, "backend": self.backend}
+        if self.exr is not None:
+            content["exr"] = self.exr.content
+        if self.optics is not None:
+            content["optics"] = self.optics.facts
+        shared = config.frame_range is not None and not self.overwrite
+        with self.folder(*sources, shared=shared):
+            facts = output_folder.settings_facts(config, self.preset)
+            content["settings"] = output_folder.settings_content(config)
+            sequence = frames(replace(config, frame_range=None) if shared else config)
+            if self.optics is not None:
+                facts["optics"] = self.optics.facts
+            facts["cameras"] = output_folder.cameras_facts(sequence.cameras)
+            record = output_folder.Record(self.out, self.scene, content, **facts)
+            run = self.out, record, sequence.cameras, config, self.video
+            forecast, given = Forecast(status, *run), self.given
+            if given.get("workers") or given.get("scheduler"):
+                farm = given, self.backend, self.pool
+                reports = _draw_with_workers(forecast, sequence, run, self.resume, *farm)
+            elif shared:
+                reports = _draw_shared(forecast, sequence, run, self.resume)
+            else:
+                reports = _draw_alone(forecast, sequence, run, self.resume)
+        result = {
+            "frames": [FRAME.format(report.index) for report in reports],
+            "seconds": round(status.seconds, 3),
+            "milliseconds": mean_milliseconds(reports),
+            "ledger": reports[-1].ledger,
+            "notes": [*self.scene.notes, *self.scene.ground_frame.notes],
+        }
+        also = " and one OpenEXR file for each in exr" if self.exr is not None else ""
+        total = counted(len(config.indices), "frame")
+        self.finish(total, result, more=f"/frames{also} ({status.seconds:.1f} s)")
 
 
 def _check_farm(given):
@@ -366,80 +399,6 @@ def _check_farm(given):
         from rainsim.farm.cluster import require
 
         require()
-
-
-def _require_memory(scene, cameras, names, exr, optics, backend):
-    """Raise ParameterError before minutes of work if the frames' size alone is too much."""
-    from rainsim.backend import free_device_memory
-    from rainsim.render.memory import layers_held, require_memory
-
-    free, layers = free_device_memory(backend), layers_held(names, exr, optics)
-    require_memory(scene, drawn_camera(cameras[0], optics), layers=layers, device_free=free)
-
-
-def _say_memory(status, scene, terrain, cameras, names, exr, optics, backend):
-    """Say what the frames take, if it is much; raise ParameterError if it is too much."""
-    from rainsim.backend import free_device_memory
-    from rainsim.render.memory import layers_held, memory_notes
-
-    free, layers = free_device_memory(backend), layers_held(names, exr, optics)
-    status.notes(memory_notes(scene, drawn_camera(cameras[0], optics), terrain.cells, layers, free))
-
-
-def _say_moments(status, config):
-    """Say which times of the rain frames show, if a path says so."""
-    if config.moments:
-        first, last = (moment / config.fps for moment in (config.moments[0], config.moments[-1]))
-        status.notes([
-            f"frames show the rain from {first:g} to {last:g} s, as render_time of the path says"
-        ])  # fmt: skip
-
-
-def _write_frames(
-    status, film, scene, config, preset, content, *,
-    out, overwrite, resume, sources, video, farm, as_json,
-):  # fmt: skip
-    """Draw frames into the folder `out` and say how it went.
-
-    `film(config)` returns the cameras and the `FrameSequence`; `content` is what the frames depend
-    on besides scene, settings and cameras; `farm` is the options, the backend and the `Pool` that
-    compiles.
-    """
-    from dataclasses import replace
-
-    from rainsim import output_folder
-    from rainsim.render.frame_files import FRAME, mean_milliseconds
-
-    shared = config.frame_range is not None and not overwrite
-    with output_folder.claimed(out, overwrite, resume, sources, shared):
-        _set_up(config)
-        facts = output_folder.settings_facts(config, preset)
-        content["settings"] = output_folder.settings_content(config)
-        cameras, sequence = film(replace(config, frame_range=None) if shared else config)
-        facts |= {"optics": content["optics"]} if "optics" in content else {}
-        record = output_folder.Record(
-            out, scene, content, **facts, cameras=output_folder.cameras_facts(cameras)
-        )
-        run = out, record, cameras, config, video
-        forecast = Forecast(status, *run)
-        if farm[0].get("workers") or farm[0].get("scheduler"):
-            reports = _draw_with_workers(forecast, sequence, run, resume, *farm)
-        elif shared:
-            reports = _draw_shared(forecast, sequence, run, resume)
-        else:
-            reports = _draw_alone(forecast, sequence, run, resume)
-    total = counted(len(config.indices), "frame")
-    also = " and one OpenEXR file for each in exr" if "exr" in content else ""
-    status.say(f"{total} in {output_folder.relative(out)}/frames{also} ({status.seconds:.1f} s)")
-    result = {
-        "out": str(out),
-        "frames": [FRAME.format(report.index) for report in reports],
-        "seconds": round(status.seconds, 3),
-        "milliseconds": mean_milliseconds(reports),
-        "ledger": reports[-1].ledger,
-        "notes": [*scene.notes, *scene.ground_frame.notes],
-    }
-    options.echo(result, as_json, str(out))
 
 
 def _draw_alone(status, sequence, run, resume):
@@ -489,9 +448,3 @@ def _then_frames(status, total, kept=0):
             status.progress("frames", kept, total)
 
     return progress
-
-
-def _set_up(config):
-    from rainsim.jit import set_threads
-
-    set_threads(config.threads)

@@ -6,7 +6,7 @@ import shutil
 import time
 from contextlib import suppress
 
-from rainsim.commands.status import Stage, in_words
+from rainsim.commands.status import StageProgress, in_words
 from rainsim.errors import ParameterError, RainsimError
 
 FRAMES = "frames"  # the stage that is looked at
@@ -15,46 +15,30 @@ DRAWN = 3  # frames after which it is said
 MEASURED = 3  # finished frames at most whose files are looked at
 
 
-def format_of(video, given, start=0):
+def format_of(given, start=0):
     """Return the `VideoFormat` that the options ask for, None without --video.
 
-    `start` is the number of the first frame. ParameterError if options of the video are given
-    without it, RainsimError if it could not be written.
+    `start` is the number of the first frame. RainsimError if the video could not be written.
     """
-    options = {name: given.get(f"video_{name}") for name in ("codec", "quality")}
-    options = {name: value for name, value in options.items() if value is not None}
-    if not video:
-        for name, value in options.items():
-            raise ParameterError(
-                f"--video-{name} {value} is given without --video; it is about a video; give "
-                "--video too, or leave it out"
-            )
+    if not given["video"]:
         return None
     from rainsim.io.video import VideoFormat, require_video
 
-    asked = VideoFormat(**options, start=start)
+    options = {name: given[f"video_{name}"] for name in ("codec", "quality")}
+    asked = VideoFormat(**{k: v for k, v in options.items() if v is not None}, start=start)
     require_video(asked)
     return asked
 
 
-def exr_of(given, fps, names, start=0, video=None):
+def exr_of(given, fps, names, start=0):
     """Return the `ExrFormat` that the options ask for and the layers that frames need for all.
 
-    `given` are the options `--exr`, `--exr-name`, `--frame-start` and `--colorspace`, `fps` is in
-    1/s, `names` are layers that are written by themselves, `start` is the number of the first
-    frame. ParameterError if options of the files are given without `--exr` or do not make a name,
-    RainsimError if such files cannot be written.
+    `fps` is in 1/s, `names` are layers that are written by themselves, `start` is the number of the
+    first frame. ParameterError if the options do not make a name, RainsimError if such files cannot
+    be written.
     """
-    options = {"name": "exr_name", "colorspace": "colorspace"}
-    options = {key: given[name] for key, name in options.items() if given.get(name) is not None}
-    if not given.get("exr"):
-        for key, value in options.items():
-            option = {"name": "exr-name"}.get(key, key)
-            raise ParameterError(
-                f"--{option} {value} is given without --exr; it is about OpenEXR files; give --exr "
-                "too, or leave it out"
-            )
-        if given.get("frame_start") is not None and video is None:
+    if not given["exr"]:
+        if given["frame_start"] is not None and not given["video"]:
             raise ParameterError(
                 f"--frame-start {given['frame_start']} is given without --exr or --video, whose "
                 "frames it numbers; give one of them, or leave it out"
@@ -63,6 +47,8 @@ def exr_of(given, fps, names, start=0, video=None):
     from rainsim.io.exr import require_exr
     from rainsim.render.exr_frame import LAYERS, ExrFormat
 
+    options = {"name": given["exr_name"], "colorspace": given["colorspace"]}
+    options = {key: value for key, value in options.items() if value is not None}
     exr = ExrFormat(fps, **options, start=start, layers=names)
     require_exr()
     return exr, tuple(dict.fromkeys((*names, *LAYERS)))
@@ -78,7 +64,7 @@ class Forecast:
     def __init__(self, status, folder, record, cameras, config, video):
         self._status, self._folder, self._video = status, folder, video
         self._config = config
-        self._frames = None if status.quiet else Stage(FRAMES)
+        self._frames = None if status.quiet else StageProgress(FRAMES)
         self.say, self.notes = status.say, status.notes
 
     def progress(self, stage, done, total):

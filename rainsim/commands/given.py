@@ -14,6 +14,22 @@ DEFAULT_SHAPE = 1.5  # width / height of cameras placed by hand
 MOST_SHOWN = 8  # names of cameras in an error message
 AS_THEY_ARE = ("frame_range", "threads")  # options that no preset file has
 CAMERA_WAYS = ("camera", "path", "orbit", "drive", "eye")
+ONE_OF = (  # options of which one at most may be given, and what they choose
+    (CAMERA_WAYS, "the camera"),
+    (("known_length", "meters_per_unit"), "the scale"),
+    (("known_length", "camera_height"), "the scale"),
+)
+NEEDS = {  # options that say nothing without another, and what both are about
+    "eye": ("look_at", "a camera placed by hand"),
+    "look_at": ("eye", "a camera placed by hand"),
+    "fov": ("eye", "a camera placed by hand"),
+    "video_codec": ("video", "a video"),
+    "video_quality": ("video", "a video"),
+    "exr_name": ("exr", "OpenEXR files"),
+    "colorspace": ("exr", "OpenEXR files"),
+    "wiper": ("glass", "drops on glass"),
+    "drive_speed": ("drive", "the capture's own cameras in their order"),
+}
 
 
 def require_backend(backend):
@@ -51,7 +67,8 @@ def settings(preset, given, base=None):
         shot = shot_in(given, config.fps)
         if shot is not None and shot.fps:
             config = config.replace(fps=shot.fps)
-    if base is None and config.frame_range and "frames" not in changes and _path_says(given):
+    has_path = bool(given.get("path") or given.get("drive"))
+    if base is None and config.frame_range and "frames" not in changes and has_path:
         # The path's length is known once it is read: `cameras_of` checks the range by it.
         config = config.replace(frames=max(config.frames, config.frame_range[1]))
     return config.check()
@@ -104,11 +121,6 @@ def shot_cameras(shot, scene, given, fps):
     return [scene.ground_frame.camera_in_capture(camera) for camera in shot.cameras], notes
 
 
-def _path_says(given):
-    """Whether the number of frames is that of the cameras along a path."""
-    return bool(given.get("path") or given.get("drive"))
-
-
 def _in_si(keys, value):
     """Return the attribute that an option's preset keys fill, and its value in SI units."""
     from rainsim.config.tables import HUMAN_KEYS, SUN_WORDS, si_value
@@ -127,19 +139,10 @@ def scene_of(name, given):
 
     names = ("cameras", "up", "meters_per_unit", "camera_height", "ground_frame", "photos",
              "spz_frame")  # fmt: skip
-    given = dict(given)
     require_own_cameras(given.get("cameras"))
-    length = given.get("known_length")
-    if length is not None:
-        for other in ("meters_per_unit", "camera_height"):
-            if given.get(other) is not None:
-                raise ParameterError(
-                    f"--known-length and --{other.replace('_', '-')} are both given; the scale "
-                    "must be given in one way only; leave one out"
-                )
-        if length[0] is None:
-            given["meters_per_unit"] = _scale_in_space(*length[1])
-    scene = load_scene(name, **{n: given.get(n) for n in names})
+    found, length = {n: given.get(n) for n in names}, given.get("known_length")
+    found["meters_per_unit"] = _scale_in_space(length) or found["meters_per_unit"]
+    scene = load_scene(name, **found)
     if length is not None and length[0] is not None:
         from rainsim.scene.folder import override_ground_frame
 
@@ -186,18 +189,19 @@ def scene_to_look_at(name, given):
 
     nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # until one is offered
     scene = load_scene(name, cameras=given.get("cameras"), ground_frame=nowhere)
-    length, scale = given.get("known_length"), given.get("meters_per_unit")
-    if length is not None and length[0] is None:
-        scale = _scale_in_space(*length[1])
+    scale = _scale_in_space(given.get("known_length")) or given.get("meters_per_unit")
     frame = assumed_ground_frame(scene.splats, scene.cameras, given.get("up"), scale)
     return replace(scene, ground_frame=frame), True
 
 
-def _scale_in_space(x1, y1, z1, x2, y2, z2, length):
-    """Return the metres per unit from two points [capture units] and the metres between them."""
+def _scale_in_space(length):
+    """Return the metres per unit from a --known-length between points in space, else None."""
     from rainsim.scene.ground import scale_from_length
 
-    return scale_from_length((x1, y1, z1), (x2, y2, z2), length)
+    if length is None or length[0] is not None:
+        return None
+    numbers = length[1]
+    return scale_from_length(numbers[:3], numbers[3:6], numbers[6])
 
 
 def _scale_in_picture(scene, camera, numbers):
@@ -210,29 +214,38 @@ def _scale_in_picture(scene, camera, numbers):
     return scale_from_length(*ends, length)
 
 
-def mask_of(path):
-    """Return the painted classes of a --class-mask, None without one."""
-    from rainsim.terrain.classify import read_mask
-
-    return None if path is None else read_mask(path)
-
-
-def water_mask_of(given):
-    """Return the `WaterMask` of a --water-mask, None without one."""
-    from rainsim.terrain.poured import read_water_mask
-
-    path = given.get("water_mask")
-    return None if path is None else read_water_mask(path, given["water_mask_use"])
-
-
-def masks_named(class_mask, given):
+def masks_named(given):
     """Return hashes of the masks that are given, as what a folder is made of."""
     from rainsim.io.fingerprint import hash_of_file
 
-    found = {} if class_mask is None else {"mask": hash_of_file(class_mask)}
+    found = {}
+    if given.get("class_mask") is not None:
+        found["mask"] = hash_of_file(given["class_mask"])
     if given.get("water_mask") is not None:
         found["water_mask"] = [hash_of_file(given["water_mask"]), given["water_mask_use"]]
     return found
+
+
+def optics_of(given):
+    """Return the `Optics` of the options, None where they change nothing."""
+    samples = given.get("shutter_samples", 1)
+    if given["lens"] is None and given["glass"] is None and not given["rolling"] and samples == 1:
+        return None
+    from rainsim.sensors.glass import Pane
+    from rainsim.sensors.lens_files import lens_named
+    from rainsim.sensors.optics import Optics
+
+    lens = None if given["lens"] is None else lens_named(given["lens"])
+    pane = None
+    if given["glass"] is not None:
+        age, speed = given["glass"]
+        if not (0 <= age <= 3600 and 0 <= speed <= 100):
+            raise ParameterError(
+                f"--glass is {age:g},{speed:g}; it must be 0 to 3600 s and 0 to 100 m/s; 10,15 is "
+                "usual"
+            )
+        pane = Pane(age=age, speed=speed, wiper=given["wiper"])
+    return Optics(lens, pane, given["rolling"] * 1e-3, samples)
 
 
 def paths_in(given):
@@ -240,40 +253,44 @@ def paths_in(given):
     return [value for value in given.values() if isinstance(value, Path)]
 
 
-def check_camera_options(given):
-    """Raise ParameterError if the camera options contradict each other; reads no file."""
-    chosen = [name for name in CAMERA_WAYS if given.get(name) not in (None, False)]
-    if len(chosen) > 1:
-        raise ParameterError(
-            f"--{chosen[0]} and --{chosen[1]} are both given; the camera must be given in one way; "
-            "leave one out"
-        )
-    if (given.get("eye") is None) != (given.get("look_at") is None):
-        one, other = ("--eye", "--look-at")
-        if given.get("eye") is None:
-            one, other = other, one
-        raise ParameterError(f"{one} is given without {other}; they go together; give both")
-    if given.get("fov") is not None and given.get("eye") is None:
-        raise ParameterError(
-            "--fov is given without --eye; it is for a camera placed by hand; leave it out or give "
-            "--eye and --look-at"
-        )
+def check_options(given):
+    """Raise ParameterError if options contradict each other, or lack one that they go with."""
+
+    def is_given(name):
+        return given.get(name) is not None and given[name] is not False
+
+    for names, what in ONE_OF:
+        both = [dashed(name) for name in names if is_given(name)][:2]
+        if len(both) == 2:
+            raise ParameterError(
+                f"{' and '.join(both)} are both given; {what} must be given in one way; leave one "
+                "out"
+            )
+    for name, (other, what) in NEEDS.items():
+        if is_given(name) and not is_given(other):
+            raise ParameterError(
+                f"{dashed(name)} is given without {dashed(other)}; they go together, for {what}; "
+                "give both, or leave it out"
+            )
 
 
-def cameras_of(scene, config, given, most=None, say=None):
+def dashed(name):
+    """Return an option as it is typed."""
+    return f"--{name.replace('_', '-')}"
+
+
+def cameras_of(scene, config, given, say=None):
     """Return the frames' cameras in the frames' size, and the Config with their number of frames.
 
     There is a camera for each frame or one for all. `given` has camera, path, orbit, drive, eye,
-    look_at, fov and frames as they were typed; a path of more than `most` frames is cut to them.
-    `say` is called with notes on a path.
+    look_at, fov and frames as they were typed. `say` is called with notes on a path.
     """
     from rainsim.demo_scenes import FIRST_VIEWS
     from rainsim.scene.cameras import orbit, read_path
     from rainsim.surface.offered_views import with_offered_cameras
 
-    check_camera_options(given)
     if given.get("eye") is not None:
-        cameras = [_placed(scene, config, given)]
+        cameras = [placed_camera(given, scene.ground_frame.up, config.width, config.height)]
     elif given.get("path") is not None:
         shot = shot_in(given, config.fps)
         if shot is None:
@@ -282,7 +299,7 @@ def cameras_of(scene, config, given, most=None, say=None):
             (path, notes), moments = shot_cameras(shot, scene, given, config.fps), ()
             if say is not None:
                 say(notes)
-        cameras, config = _one_per_frame(path, given["path"], config, given, most)
+        cameras, config = _one_per_frame(path, given["path"], config, given)
         if len(moments) >= config.frames:
             config = config.replace(moments=moments[: config.frames])
     elif given.get("orbit"):
@@ -294,10 +311,11 @@ def cameras_of(scene, config, given, most=None, say=None):
                 f"scene {scene.name} has no cameras; --drive moves along them; give --orbit, "
                 "--path transforms.json or --cameras cameras.json"
             )
-        cameras, config = _one_per_frame(scene.cameras, f"scene {scene.name}", config, given, most)
+        cameras, config = _one_per_frame(scene.cameras, f"scene {scene.name}", config, given)
     elif given.get("camera") is None and scene.source is None and scene.name in FIRST_VIEWS:
         eye, target = FIRST_VIEWS[scene.name]
-        cameras = [_placed(scene, config, {"eye": eye, "look_at": target})]
+        first, up = {"eye": eye, "look_at": target}, scene.ground_frame.up
+        cameras = [placed_camera(first, up, config.width, config.height)]
     else:
         cameras = [named_camera(scene, given.get("camera"))]
     return _sized(cameras, config), config
@@ -337,10 +355,10 @@ def view_on(scene, terrain, cameras, config, given, status):
     return _sized([chosen], config)
 
 
-def _one_per_frame(cameras, where, config, given, most):
+def _one_per_frame(cameras, where, config, given):
     """Return one camera for each frame, and the Config with the number of frames."""
     if given.get("frames") is None:
-        config = config.replace(frames=min(len(cameras), most or len(cameras))).check()
+        config = config.replace(frames=len(cameras)).check()
     if len(cameras) == 1:
         return list(cameras), config  # it stands still
     if len(cameras) < config.frames:
@@ -351,14 +369,14 @@ def _one_per_frame(cameras, where, config, given, most):
     return list(cameras[: config.frames]), config
 
 
-def _placed(scene, config, given):
+def placed_camera(given, up, width=None, height=None):
+    """Return the camera of --eye, with `up` in its picture; what it lacks of a size is usual."""
     from rainsim.scene.cameras import look_at
 
-    width = config.width or round((config.height or DEFAULT_WIDTH / DEFAULT_SHAPE) * DEFAULT_SHAPE)
-    height = config.height or round(width / DEFAULT_SHAPE)
+    width = width or round((height or DEFAULT_WIDTH / DEFAULT_SHAPE) * DEFAULT_SHAPE)
+    height = height or max(round(width / DEFAULT_SHAPE), 1)
     fov = DEFAULT_FOV if given.get("fov") is None else given["fov"]
-    camera = look_at(given["eye"], given["look_at"], scene.ground_frame.up, fov, width, height)
-    return replace(camera, name="eye")
+    return look_at(given["eye"], given["look_at"], up, fov, width, height, "eye")
 
 
 def named_camera(scene, name):

@@ -7,9 +7,8 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.compile import compiled_beside
-from rainsim.commands.given import mask_of, masks_named, paths_in, settings, water_mask_of
-from rainsim.commands.status import Status, loaded_scene
+from rainsim.commands.given import masks_named
+from rainsim.commands.job import Job
 from rainsim.errors import ParameterError, counted
 
 GROUND_FRAME = "ground_frame.json"
@@ -22,17 +21,12 @@ CHECK_RAIN = 3  # mm of them, over what a camera sees
 @options.ground_options
 @options.terrain_options
 @options.mask_options
-@click.option(
-    "--check",
-    is_flag=False,
-    flag_value="",
-    metavar="[=CAMERA]",
-    help="Draw the ground's grid and the puddles of 3 mm of rain over what a camera sees, as "
-    "check.png. [default: the first]",
-)
+@options.option("check", str, "Draw the ground's grid and the puddles of 3 mm of rain over what a "
+                "camera sees, as check.png. [default: the first]", "[=CAMERA]", is_flag=False,
+                flag_value="")  # fmt: skip
 @options.resume_option
 @options.output_options("rainsim-out/SCENE-terrain")
-def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json, quiet, **given):
+def heightmap(scene, check, **given):
     """Make the height map of SCENE, a name or a path as for `rainsim run`.
 
     SCENE may also be a triangle mesh (PLY or OBJ) or a map of heights (float TIFF, metres, north at
@@ -48,83 +42,75 @@ def heightmap(scene, class_mask, check, out, overwrite, resume, threads, as_json
         rainsim heightmap garden/ --out terrain --check
         rainsim heightmap plaza.ply --up 0,0,1 --meters-per-unit 1 --extent 6
     """
+    from rainsim.compiling.uses import HEIGHTMAP
     from rainsim.config.settings import Config
-    from rainsim.output_folder import Record, claimed, relative
+    from rainsim.output_folder import Record
     from rainsim.scene.ground import write_ground_frame
-    from rainsim.terrain.poured import with_water
     from rainsim.terrain.surface import is_surface
 
-    status = Status(quiet)
-    config = settings(None, {**given, "threads": threads}, base=Config())
-    surface, water = is_surface(scene), water_mask_of(given)
-    loaded = None
+    job = Job(given, base=Config())
+    status, surface = job.status, is_surface(scene)
+    mask, water = job.read_masks()
     if surface:
-        _refuse_with_surface(scene, class_mask, check, given)
+        _refuse_with_surface(scene, check, given)
         name = Path(scene).stem
     else:
         with status:
-            loaded = loaded_scene(status, scene, given)
-        name = loaded.name
-    source = scene if surface else loaded.source
-    out = out or options.default_out(name, "terrain")
-    from rainsim.compiling.uses import HEIGHTMAP
-
-    with (
-        status,
-        claimed(out, overwrite, resume, [source, class_mask, *paths_in(given)]),
-        compiled_beside(status, [HEIGHTMAP], config.threads),
-    ):
-        from rainsim.jit import set_threads
-        from rainsim.pipeline import extract_terrain
+            job.load(scene)
+        name = job.scene.name
+    loaded = job.scene
+    job.out = job.out or options.default_out(name, "terrain")
+    with job.folder(scene if surface else loaded.source), job.compiling([HEIGHTMAP]):
         from rainsim.terrain.map_files import write_terrain
-        from rainsim.terrain.surface import terrain_from_surface
 
-        set_threads(config.threads)
-        content = _content(scene if surface else None, class_mask, check, given)
-        record = Record(out, loaded, content, settings={"terrain": config.as_dict()["terrain"]})
-        if resume:
+        content = _content(scene if surface else None, check, given)
+        facts = {"settings": {"terrain": job.config.as_dict()["terrain"]}}
+        record = Record(job.out, loaded, content, **facts)
+        if job.resume:
             record.resume(())  # one step: it is made again in the folder of the very same map
-        if surface:
-            status.progress("terrain", 0, 1)
-            ground = terrain_from_surface(
-                scene, config.terrain, given.get("up"), given.get("meters_per_unit")
-            )
-            terrain = with_water(ground, water)
-            status.progress("terrain", 1, 1)
-        else:
-            tell = status.progress, status.notes
-            terrain = extract_terrain(loaded, config, mask_of(class_mask), *tell, water)
+        terrain = _terrain_of(job, scene, water) if surface else job.extract_terrain(mask, water)
         status.notes(terrain.notes)
         record.begin()
-        record.add(*(path.name for path in write_terrain(out, terrain)))
+        record.add(*(path.name for path in write_terrain(job.out, terrain)))
         if loaded is not None:
-            write_ground_frame(out / GROUND_FRAME, loaded.ground_frame)
+            write_ground_frame(job.out / GROUND_FRAME, loaded.ground_frame)
             record.add(GROUND_FRAME)
-        puddles, depth = _puddles(out, terrain, record)
+        puddles, depth = _puddles(job.out, terrain, record)
         checked = None
         if check is not None:
-            camera = _check(out, loaded, terrain, check, depth, record)
+            camera = _check(job.out, loaded, terrain, check, depth, record)
             checked = {"file": "check.png", "camera": camera, "rain_mm": CHECK_RAIN}
         record.write(complete=True, notes=list(terrain.notes))
-    status.say(f"height map and pictures in {relative(out)}")
-    result = {**_result(out, terrain, loaded, puddles, record.files), "check": checked}
-    options.echo(result, as_json, _as_text(result))
+    result = {"out": str(job.out), **_result(terrain, loaded, puddles, record.files)}
+    result["check"] = checked
+    job.finish("height map and pictures", result, _as_text(result))
 
 
-def _content(surface, class_mask, check, given):
+def _terrain_of(job, surface, water):
+    """Return the `Terrain` of a mesh or a map of heights."""
+    from rainsim.terrain.poured import with_water
+    from rainsim.terrain.surface import terrain_from_surface
+
+    job.status.progress("terrain", 0, 1)
+    axes = job.given["up"], job.given["meters_per_unit"]
+    terrain = with_water(terrain_from_surface(surface, job.config.terrain, *axes), water)
+    job.status.progress("terrain", 1, 1)
+    return terrain
+
+
+def _content(surface, check, given):
     """Return what a height map depends on besides its scene and settings, as plain values."""
     from rainsim.io.fingerprint import hash_of_file
 
     hashes = {"surface": None if surface is None else hash_of_file(surface), "mask": None}
-    hashes |= masks_named(class_mask, given)
+    hashes |= masks_named(given)
     axes = {name: given.get(name) for name in ("up", "meters_per_unit")} if surface else {}
     return {**hashes, **axes, "check": check}
 
 
-def _refuse_with_surface(scene, class_mask, check, given):
-    wrong = [n for n in ("cameras", "camera_height", "ground_frame", "fall", "known_length")
-             if given.get(n) is not None]  # fmt: skip
-    wrong += ["class_mask"] * (class_mask is not None) + ["check"] * (check is not None)
+def _refuse_with_surface(scene, check, given):
+    names = "cameras", "camera_height", "ground_frame", "fall", "known_length", "class_mask"
+    wrong = [name for name in names if given[name] is not None] + ["check"] * (check is not None)
     if wrong:
         raise ParameterError(
             f"--{wrong[0].replace('_', '-')} is given with {scene}, a surface without cameras or "
@@ -172,7 +158,7 @@ def _check(out, scene, terrain, name, depth, record):
     return camera.name
 
 
-def _result(out, terrain, scene, puddles, files):
+def _result(terrain, scene, puddles, files):
     """Return the printed figures of a height map as plain values."""
     import numpy as np
 
@@ -183,7 +169,6 @@ def _result(out, terrain, scene, puddles, files):
     grid, source = terrain.grid, terrain.source
     kinds = {"measured": MEASURED, "inferred": INFERRED, "unknown": UNKNOWN}
     result = {
-        "out": str(out),
         "files": files,
         "shape": list(grid.shape),
         "spacing": grid.spacing,

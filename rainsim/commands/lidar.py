@@ -5,10 +5,10 @@ from __future__ import annotations
 import click
 
 from rainsim.commands import options
-from rainsim.commands.compile import compiled_beside
 from rainsim.commands.export import rains_of
-from rainsim.commands.given import named_camera, paths_in, settings
-from rainsim.commands.status import Status, loaded_scene
+from rainsim.commands.given import named_camera
+from rainsim.commands.job import Job
+from rainsim.commands.options import group, option
 from rainsim.errors import ParameterError, counted
 
 SENSORS = ("vlp16", "hdl32", "hdl64")
@@ -16,71 +16,39 @@ FORMATS = ("kitti", "pcd", "ply")
 MOST_TURNS = 9999
 HIGHEST = 1000.0  # m above or below the ground's level
 
+# fmt: off
+_lidar_options = group(
+    option("sensor", click.Choice(SENSORS), "Channels, ranges and beams of which lidar.",
+           default="vlp16"),
+    option("rain rains", str, "Rain rates in mm/h; 0 is the dry scene in clear air.", "MM/H,MM/H",
+           default="0,10,25,50"),
+    option("camera", str, "The lidar stands at this camera, level, and looks where it looks. "
+           "[default: the first]", "NAME"),
+    option("height", float, "Height of the lidar above the ground's level in metres.", "M",
+           shows="the camera's"),
+    option("speed", float, "Speed ahead in m/s.", "M/S", default=0.0),
+    option("turns", click.IntRange(1, MOST_TURNS), "Number of turns, one after the other.",
+           default=1),
+    option("format kind", click.Choice(FORMATS), "kitti: .bin with .label files; pcd: all pulses, "
+           "lost ones as NaN; ply.", default="kitti"),
+)
+_albedo_option = option(
+    "ground-albedo", float, "Share of the light that the open dry ground reflects; colours stand "
+    "for reflectivities.", "0..1", shows="guessed")
+# fmt: on
+
 
 @click.command(short_help="Scan a scene by a lidar, clear and in rain.")
 @click.argument("scene", default="bicycle")
-@click.option(
-    "--sensor",
-    type=click.Choice(SENSORS),
-    default="vlp16",
-    show_default=True,
-    help="Channels, ranges and beams of which lidar.",
-)
-@click.option(
-    "--rain",
-    "rains",
-    metavar="MM/H,MM/H",
-    default="0,10,25,50",
-    show_default=True,
-    help="Rain rates in mm/h; 0 is the dry scene in clear air.",
-)
-@click.option(
-    "--camera",
-    metavar="NAME",
-    help="The lidar stands at this camera, level, and looks where it looks. [default: the first]",
-)
-@click.option(
-    "--height",
-    type=float,
-    metavar="M",
-    show_default="the camera's",
-    help="Height of the lidar above the ground's level in metres.",
-)
-@click.option(
-    "--speed", type=float, default=0.0, show_default=True, metavar="M/S", help="Speed ahead in m/s."
-)
-@click.option(
-    "--turns",
-    type=click.IntRange(1, MOST_TURNS),
-    default=1,
-    show_default=True,
-    help="Number of turns, one after the other.",
-)
-@click.option(
-    "--format",
-    "kind",
-    type=click.Choice(FORMATS),
-    default="kitti",
-    show_default=True,
-    help="kitti: .bin with .label files; pcd: all pulses, lost ones as NaN; ply.",
-)
+@_lidar_options
 @options.preset_option
 @options.shower_options
-@click.option(
-    "--ground-albedo",
-    type=float,
-    metavar="0..1",
-    show_default="guessed",
-    help="Share of the light that the open dry ground reflects; colours stand for reflectivities.",
-)
+@_albedo_option
 @options.ground_options
 @options.terrain_options
 @options.output_options("rainsim-out/SCENE-SENSOR")
 @options.resume_option
-def lidar(
-    scene, sensor, rains, camera, height, speed, turns, kind, preset, out, overwrite, resume,
-    as_json, quiet, **given,
-):  # fmt: skip
+def lidar(scene, sensor, rains, height, speed, turns, kind, **given):
     """Scan SCENE by a lidar, clear and in rain, through the very drops that the cameras see.
 
     Writes DIR/clear and DIR/rain/25mm and so on with a file for each turn, the label of each point
@@ -91,9 +59,8 @@ def lidar(
     Example:
         rainsim lidar street --sensor hdl64 --height 1.7 --rain 0,25
     """
-    status = Status(quiet)
     rates = rains_of(rains)
-    config = settings(preset, given)
+    job = Job(given)
     if not abs(speed) <= 100:  # false for NaN
         raise ParameterError(f"--speed is {speed} m/s; it must lie from -100 to 100")
     if height is not None and not abs(height) <= HIGHEST:
@@ -102,22 +69,18 @@ def lidar(
         )
     from rainsim.compiling.uses import LIDAR
 
-    with status, compiled_beside(status, [LIDAR], config.threads):
-        loaded = loaded_scene(status, scene, given)
-        out = out or options.default_out(loaded.name, sensor)
-        place = loaded.ground_frame.camera_in_ground(named_camera(loaded, camera))
-        from rainsim.jit import set_threads
-        from rainsim.output_folder import claimed
+    with job.compiling([LIDAR]):
+        job.load(scene)
+        job.out = job.out or options.default_out(job.scene.name, sensor)
+        camera = named_camera(job.scene, given["camera"])
+        place = job.scene.ground_frame.camera_in_ground(camera)
         from rainsim.sensors.drive import LidarFolder, scan_rains
 
-        with claimed(out, overwrite, resume, [loaded.source, *paths_in(given)]):
-            set_threads(config.threads)
-            folder = LidarFolder(out, kind, overwrite, resume)
+        with job.folder(job.scene.source):
+            folder = LidarFolder(job.out, kind, job.overwrite, job.resume)
             facts = scan_rains(
-                folder, loaded, config, rates, sensor=sensor, camera=place, height=height,
-                speed=speed, turns=turns, tell=status.progress, say=status.notes,
+                folder, job.scene, job.config, rates, sensor=sensor, camera=place, height=height,
+                speed=speed, turns=turns, tell=job.status.progress, say=job.status.notes,
             )  # fmt: skip
-    from rainsim.output_folder import relative
-
-    status.say(f"{counted(turns * len(rates), 'turn')} in {relative(out)} ({status.seconds:.1f} s)")
-    options.echo({"out": str(out), **facts}, as_json, str(out))
+    total = counted(turns * len(rates), "turn")
+    job.finish(total, facts, more=f" ({job.status.seconds:.1f} s)")

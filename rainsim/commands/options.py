@@ -96,156 +96,99 @@ def group(*options):
     """Return several options as one decorator."""
 
     def decorate(command):
-        for option in reversed(options):
-            command = option(command)
+        for one in reversed(options):
+            command = one(command)
         return command
 
     return decorate
 
 
-scene_option = click.option(
-    "--scene",
-    "-s",
-    default="bicycle",
-    show_default=True,
-    metavar="NAME|PATH",
-    help="A name from `rainsim scenes`, a trained model's folder, a splat file or a scene folder.",
-)
+def option(names, kind, text, metavar=None, shows=None, **more):
+    """Return an option that is no setting, declared in one call as a setting is.
+
+    `names` is its name without dashes, and after a space the letter or parameter that it also is
+    called; `kind` the type of its value, bool for a switch; `text` its help. `shows` is what the
+    help gives as its default, in place of the `default` that it has.
+    """
+    name, *others = names.split()
+    if kind is bool:
+        return click.option(f"--{name}", *others, is_flag=True, help=text, **more)
+    if shows is None and "default" in more:
+        shows = True
+    return click.option(f"--{name}", *others, type=kind, help=text, metavar=metavar,
+                        show_default=shows, **more)  # fmt: skip
+
+
+# fmt: off
+scene_option = option(
+    "scene -s", str,
+    "A name from `rainsim scenes`, a trained model's folder, a splat file or a scene folder.",
+    "NAME|PATH", default="bicycle")
 
 ground_options = group(
-    click.option(
-        "--cameras",
-        type=FILE,
-        metavar="FILE",
-        help="cameras.json or transforms.json instead of the one beside the splats. A camera of "
-        "USD, glTF or Blender is taken as --path.",
-    ),
-    click.option(
-        "--photos",
-        type=FOLDER,
-        metavar="DIR",
-        help="Photographs of the capture's cameras, if not in images/ or input/ beside it: their "
-        "GPS gives the scale, place and time the captured sun.",
-    ),
-    click.option(
-        "--up",
-        type=Numbers("x,y,z"),
-        help="Direction that is roughly up, in the capture's own axes.",
-    ),
-    click.option(
-        "--meters-per-unit", type=float, metavar="S", help="Scale: metres per capture unit."
-    ),
-    click.option(
-        "--camera-height",
-        type=float,
-        metavar="M",
-        help="Scale from the cameras' mean height above the ground, in metres. "
-        "[default: GPS of the photographs, else 1.8 is assumed, from the air asked for]",
-    ),
-    click.option(
-        "--known-length",
-        type=KnownLength(),
-        help="Scale from two points and the metres between them: in capture units, or as columns "
-        "and rows of a camera's full picture.",
-    ),
-    click.option(
-        "--spz-frame",
-        type=click.Choice(["rub", "rdf"]),
-        help="Axes of an SPZ file that does not name them: right, up, back or right, down, "
-        "forward. [default: those in which its cameras see]",
-    ),
-    click.option(
-        "--fall",
-        type=Numbers("percent,direction"),
-        help="Slope of the ground in percent, and the direction in which it goes down, in degrees "
-        "counter-clockwise from the first camera's view; without it the ground is made level.",
-    ),
-    click.option(
-        "--ground-frame",
-        type=FILE,
-        metavar="FILE.json",
-        help="Up, scale and origin of the ground in one file, as `rainsim import` writes it.",
-    ),
+    option("cameras", FILE, "cameras.json or transforms.json instead of the one beside the splats. "
+           "A camera of USD, glTF or Blender is taken as --path.", "FILE"),
+    option("photos", FOLDER, "Photographs of the capture's cameras, if not in images/ or input/ "
+           "beside it: their GPS gives the scale, place and time the captured sun.", "DIR"),
+    option("up", Numbers("x,y,z"), "Direction that is roughly up, in the capture's own axes."),
+    option("meters-per-unit", float, "Scale: metres per capture unit.", "S"),
+    option("camera-height", float, "Scale from the cameras' mean height above the ground, in "
+           "metres. [default: GPS of the photographs, else 1.8 is assumed, from the air asked for]",
+           "M"),
+    option("known-length", KnownLength(), "Scale from two points and the metres between them: in "
+           "capture units, or as columns and rows of a camera's full picture."),
+    option("spz-frame", click.Choice(["rub", "rdf"]), "Axes of an SPZ file that does not name "
+           "them: right, up, back or right, down, forward. [default: those in which its cameras "
+           "see]"),
+    option("fall", Numbers("percent,direction"), "Slope of the ground in percent, and the "
+           "direction in which it goes down, in degrees counter-clockwise from the first camera's "
+           "view; without it the ground is made level."),
+    option("ground-frame", FILE, "Up, scale and origin of the ground in one file, as `rainsim "
+           "import` writes it.", "FILE.json"),
 )
 
 mask_options = group(
-    click.option(
-        "--class-mask",
-        type=FILE,
-        metavar="FILE.png",
-        help="Classes painted in the colours of classes.png; black is left to the program.",
-    ),
-    click.option(
-        "--water-mask",
-        type=FILE,
-        metavar="FILE.png",
-        help="Water at the start: a grey picture of the height map's cells, its value the depth "
-        "in mm.",
-    ),
-    click.option(
-        "--water-mask-use",
-        type=click.Choice(["stays", "drains"]),
-        default="stays",
-        show_default=True,
-        help="stays: the ground is dented by the depth, so that the water stays; drains: it is "
-        "poured, and stands where the ground dips.",
-    ),
+    option("class-mask", FILE, "Classes painted in the colours of classes.png; black is left to "
+           "the program.", "FILE.png"),
+    option("water-mask", FILE, "Water at the start: a grey picture of the height map's cells, its "
+           "value the depth in mm.", "FILE.png"),
+    option("water-mask-use", click.Choice(["stays", "drains"]), "stays: the ground is dented by "
+           "the depth, so that the water stays; drains: it is poured, and stands where the ground "
+           "dips.", default="stays"),
 )
 
+fov_option = option(
+    "fov", float, "Horizontal field of view with --eye, in degrees. [default: 60]", "DEG")
 eye_options = group(
-    click.option("--eye", type=Numbers("x,y,z"), help="Where to look from, in capture units."),
-    click.option("--look-at", type=Numbers("x,y,z"), help="Where to look to, in capture units."),
+    option("eye", Numbers("x,y,z"), "Where to look from, in capture units."),
+    option("look-at", Numbers("x,y,z"), "Where to look to, in capture units."),
 )
 
 shot_options = group(
-    click.option("--path-camera", metavar="NAME",
-                 help="Which camera of a USD or glTF file with several: its name or whole path."),
-    click.option("--path-in", type=click.Choice(["ground", "capture"]), show_default="ground",
-                 help="Coordinates of a camera of USD, glTF or Blender: ground, those that "
-                 "`rainsim world` writes, in metres with z up; capture, the splats' own, and the "
-                 "numbers count as they stand."),
-)  # fmt: skip
+    option("path-camera", str, "Which camera of a USD or glTF file with several: its name or whole "
+           "path.", "NAME"),
+    option("path-in", click.Choice(["ground", "capture"]), "Coordinates of a camera of USD, glTF "
+           "or Blender: ground, those that `rainsim world` writes, in metres with z up; capture, "
+           "the splats' own, and the numbers count as they stand.", shows="ground"),
+)
 
 camera_options = group(
-    click.option(
-        "--camera",
-        metavar="NAME",
-        help="A camera of the capture. [default: the one that shows most water]",
-    ),
-    click.option(
-        "--path",
-        type=FILE,
-        metavar="FILE",
-        help="A camera path, one camera per frame: transforms.json, a camera_path.json of "
-        "`rainsim view` or nerfstudio, or a camera of USD, glTF or Blender. A single camera stands "
-        "still for --frames.",
-    ),
+    option("camera", str, "A camera of the capture. [default: the one that shows most water]",
+           "NAME"),
+    option("path", FILE, "A camera path, one camera per frame: transforms.json, a camera_path.json "
+           "of `rainsim view` or nerfstudio, or a camera of USD, glTF or Blender. A single camera "
+           "stands still for --frames.", "FILE"),
     shot_options,
-    click.option(
-        "--orbit",
-        is_flag=True,
-        help="A full circle around the point that the capture's cameras look at.",
-    ),
-    click.option(
-        "--drive", is_flag=True, help="The capture's own cameras in their order, one per frame."
-    ),
+    option("orbit", bool, "A full circle around the point that the capture's cameras look at."),
+    option("drive", bool, "The capture's own cameras in their order, one per frame."),
     eye_options,
-    click.option(
-        "--fov",
-        type=float,
-        metavar="DEG",
-        help="Horizontal field of view with --eye, in degrees. [default: 60]",
-    ),
+    fov_option,
 )
 
-preset_option = click.option(
-    "--preset",
-    "-p",
-    metavar="NAME|FILE.toml",
-    default=DEFAULT_PRESET,
-    show_default=True,
-    help="A name from `rainsim presets`, or a file of such settings.",
-)
+preset_option = option(
+    "preset -p", str, "A name from `rainsim presets`, or a file of such settings.",
+    "NAME|FILE.toml", default=DEFAULT_PRESET)
+# fmt: on
 
 PANELS = {  # group of settings: its options, where a setting names no others
     "rain": "rain", "water": "rain", "render": "light", None: "rain", "terrain": "terrain",
@@ -254,20 +197,19 @@ PANELS = {  # group of settings: its options, where a setting names no others
 
 def _of_setting(name, text=""):
     """Return the option of a setting; `text` is a help text in place of its own."""
-    setting, option = SETTINGS[name], SETTINGS[name].option
-    kind, metavar = str, option.metavar
+    setting, declared = SETTINGS[name], SETTINGS[name].option
+    kind, metavar = str, declared.metavar
     if len(setting.keys) > 1:
         parts, _, words = metavar.partition("|")
         kind, metavar = Numbers(parts.lower(), words), None
     elif setting.kind.startswith(("float", "int")):
         kind = float if setting.is_number else int
-    text, unit = text or option.help or setting.keys[0].meaning, setting.keys[0].unit
+    text, unit = text or declared.help or setting.keys[0].meaning, setting.keys[0].unit
     if unit and unit not in (word.strip(",;:") for word in text.split()):
         text = re.sub("[:;]|$", f", in {unit}\\g<0>", text, count=1)
     if text.split()[0].rstrip(":") not in setting.choices:
         text = text[0].upper() + text[1:]
-    return click.option(f"--{option.name.replace('_', '-')}", type=kind, metavar=metavar,
-                        show_default=option.default, help=f"{text}.")  # fmt: skip
+    return option(declared.name.replace("_", "-"), kind, f"{text}.", metavar, declared.default)
 
 
 def _of_panel(panel):
@@ -289,48 +231,59 @@ shower_options = group(  # for commands whose --rain takes several rates
 )
 
 size_options = _of_panel("picture")
+# fmt: off
 picture_options = group(
     size_options,
-    click.option("--video", is_flag=True,
-                 help="Also write video.mp4, or video.mov for ProRes (needs rainsim[video])."),
-    click.option("--video-codec", type=click.Choice(["h264", "h265", "prores"]),
-                 show_default="h264",
-                 help="With --video: h264 plays everywhere; h265 takes less space; prores, 422 HQ "
-                 "of 10 bits, is for editing and large."),
-    click.option("--video-quality", type=click.IntRange(0, 100), metavar="0..100",
-                 show_default="the codec's: h264 82, h265 70, prores the rate of 422 HQ",
-                 help="With --video: higher is better and larger. For h264 and h265 it is a CRF of "
-                 "51 - N/2: 66 is CRF 18, which looks lossless, 56 is CRF 23. For prores it is a "
-                 "quantiser of 64^(1 - N/100)."),
-    click.option("--layers", metavar="all|NAME,NAME", show_default="none",
-                 help="Also write parts of each frame for compositing, such as depth,water_depth."),
-    click.option("--exr", is_flag=True,
-                 help="Also write one OpenEXR file a frame, in linear light, with all that it is "
-                 "composed of (needs rainsim[exr])."),
-    click.option("--exr-name", metavar="NAME.%04d.exr", show_default="rain.%04d.exr",
-                 help="With --exr: name of the files, with the place of the frame's number."),
-    click.option("--frame-start", type=click.IntRange(0, 10**8), metavar="N",
-                 show_default="the path's, or 0",
-                 help="With --exr and --video: number of the first frame, in names, headers and "
-                 "time code."),
-    click.option("--colorspace", type=click.Choice(["rec709", "acescg"]), show_default="rec709",
-                 help="With --exr: of the light in it, linear Rec. 709 or ACEScg."),
-)  # fmt: skip
-
-range_option = click.option(
-    "--frame-range",
-    type=FrameRange(),
-    show_default="all",
-    help="Only frames A to B, B excluded; the water is still simulated from frame 0 on.",
+    option("video", bool, "Also write video.mp4, or video.mov for ProRes (needs rainsim[video])."),
+    option("video-codec", click.Choice(["h264", "h265", "prores"]), "With --video: h264 plays "
+           "everywhere; h265 takes less space; prores, 422 HQ of 10 bits, is for editing and "
+           "large.", shows="h264"),
+    option("video-quality", click.IntRange(0, 100), "With --video: higher is better and larger. "
+           "For h264 and h265 it is a CRF of 51 - N/2: 66 is CRF 18, which looks lossless, 56 is "
+           "CRF 23. For prores it is a quantiser of 64^(1 - N/100).", "0..100",
+           shows="the codec's: h264 82, h265 70, prores the rate of 422 HQ"),
+    option("layers", str, "Also write parts of each frame for compositing, such as "
+           "depth,water_depth.", "all|NAME,NAME", shows="none"),
+    option("exr", bool, "Also write one OpenEXR file a frame, in linear light, with all that it is "
+           "composed of (needs rainsim[exr])."),
+    option("exr-name", str, "With --exr: name of the files, with the place of the frame's number.",
+           "NAME.%04d.exr", shows="rain.%04d.exr"),
+    option("frame-start", click.IntRange(0, 10**8), "With --exr and --video: number of the first "
+           "frame, in names, headers and time code.", "N", shows="the path's, or 0"),
+    option("colorspace", click.Choice(["rec709", "acescg"]), "With --exr: of the light in it, "
+           "linear Rec. 709 or ACEScg.", shows="rec709"),
 )
 
-shared_range_option = click.option(
-    "--frame-range",
-    type=FrameRange(),
-    show_default="all",
-    help="Only frames A to B, B excluded. Other processes, here or on other machines, may draw "
-    "other ranges of the same run into the same folder; who finishes its last frame completes it. "
-    "A frame has one owner: with --resume what an ended process left undone is drawn.",
+optics_options = group(
+    option("lens", str, "Distort pictures, layers and labels: opencv:k1,k2,p1,p2[,k3] or "
+           "fisheye:k1,k2,k3,k4, as OpenCV has them, or that of a transforms.json or COLMAP model.",
+           "MODEL:K1,K2,...|FILE", shows="pinhole"),
+    option("rolling", float, "Readout time of a rolling shutter from the first row to the last, in "
+           "ms.", "MS", default=0.0),
+    option("glass", Numbers("seconds,speed"), "Drops on a pane before the lens: for how many "
+           "seconds it has rained on it, and the camera's speed ahead in m/s, at which drops "
+           "come."),
+    option("wiper", float, "A wiper clears the glass every so many seconds since it began to rain "
+           "on it; with --glass.", "SECONDS", shows="none"),
+)
+shutter_option = option(
+    "shutter-samples", click.IntRange(1, 256), "Blur what moves, and all of it with a moving "
+    "camera: the mean of N pictures over the exposure. Falling drops are blurred without it.", "N",
+    default=1)
+
+range_option = option(
+    "frame-range", FrameRange(), "Only frames A to B, B excluded; the water is still simulated "
+    "from frame 0 on.", shows="all")
+# fmt: on
+
+shared_range_option = option(
+    "frame-range",
+    FrameRange(),
+    "Only frames A to B, B excluded. Other processes, here or on "
+    "other machines, may draw other ranges of the same run into the same folder; who finishes its "
+    "last frame completes it. A frame has one owner: with --resume what an ended process left "
+    "undone is drawn.",
+    shows="all",
 )
 
 farm_options = group(
@@ -353,33 +306,26 @@ farm_options = group(
 def output_options(default):
     """Return the options of a command that fills a folder; `default` is shown for --out."""
     return group(
-        click.option("--out", "-o", type=FOLDER, metavar="DIR", show_default=default,
-                     help="Output folder."),
-        click.option("--overwrite", is_flag=True,
-                     help="Allow a folder that is not empty; only earlier results that its record "
-                     "lists are replaced."),
+        option("out -o", FOLDER, "Output folder.", "DIR", shows=default),
+        option("overwrite", bool, "Allow a folder that is not empty; only earlier results that its "
+               "record lists are replaced."),
         threads_option,
         json_option,
-        click.option("--quiet", "-q", is_flag=True, help="Print errors only."),
+        quiet_option,
     )  # fmt: skip
 
 
-resume_option = click.option(
-    "--resume", is_flag=True,
-    help="Go on with an unfinished run in the output folder: frames and states that are finished "
-    "are kept after a check. Anything but the very same run is refused.",
-)  # fmt: skip
-
-backend_option = click.option(
-    "--backend", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True,
-    help="What computes: cuda needs an NVIDIA GPU and rainsim[cuda]; see `rainsim doctor`.",
-)  # fmt: skip
-
-json_option = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
-
-threads_option = click.option(
-    "--threads", type=int, metavar="N", show_default="all cores", help="Number of threads."
-)
+# fmt: off
+resume_option = option(
+    "resume", bool, "Go on with an unfinished run in the output folder: frames and states that are "
+    "finished are kept after a check. Anything but the very same run is refused.")
+backend_option = option(
+    "backend", click.Choice(["cpu", "cuda"]), "What computes: cuda needs an NVIDIA GPU and "
+    "rainsim[cuda]; see `rainsim doctor`.", default="cpu")
+quiet_option = option("quiet -q", bool, "Print errors only.")
+json_option = option("json as_json", bool, "Print results as JSON.")
+threads_option = option("threads", int, "Number of threads.", "N", shows="all cores")
+# fmt: on
 
 
 def echo(result, as_json, text):

@@ -10,59 +10,56 @@ import click
 from rainsim.commands import options
 from rainsim.commands.compile import refused_folders
 from rainsim.commands.given import (
-    DEFAULT_FOV,
-    DEFAULT_SHAPE,
     DEFAULT_WIDTH,
+    check_options,
+    dashed,
     named_camera,
+    placed_camera,
     require_backend,
     require_own_cameras,
+    settings,
 )
-from rainsim.commands.options import FILE, Numbers
+from rainsim.commands.options import FILE, Numbers, group, option
 from rainsim.errors import ParameterError, require_positive
 
 NEAR = 0.01  # capture units, as gsplat has it
 SIDES = (1, 16384)  # px
 
+# fmt: off
+_splat_options = group(
+    option("camera", str, "A camera of the capture. [default: its first]", "NAME"),
+    option("cameras", FILE, "Cameras instead of the capture's.", "FILE.json"),
+    options.eye_options,
+    option("fov", float, "Horizontal field of view in degrees, with --eye. [default: 60]", "DEG"),
+    option("up", Numbers("x,y,z"), "Up in the picture, with --eye. [default: the cameras' mean]"),
+    option("ortho-height", float, "Orthographic camera, with --eye: height of the picture in "
+           "units.", "UNITS"),
+    option("width", int, "Width in px. [default: 648]", "PX"),
+    option("height", int, "Height in px. [default: the camera's shape]", "PX"),
+    option("depth", click.Choice(["expected", "median", "plane"]), "expected, the mean depth of "
+           "the splats' centres; median, the splat at which half of the light is stopped; or "
+           "plane, where the ray meets the blended plane.", default="expected"),
+    option("background", Numbers("r,g,b"), "Colour behind the splats, 0 to 1, display-referred. "
+           "[default: 0,0,0]", shows=False, default=(0.0, 0.0, 0.0)),
+    option("hit", bool, "Add an array hit to FILE.npz: the index in the file of the splat at which "
+           "half of the light is stopped, int32; -1 for none."),
+    option("compensate", bool, "Lower the opacity of splats smaller than a pixel, as Mip-Splatting "
+           "does."),
+    option("out -o", FILE, "Picture, or float32 arrays rgb, alpha, depth, normal.",
+           "FILE.png|FILE.npz", required=True),
+    option("overwrite", bool, "Replace the file if it exists."),
+)
+# fmt: on
+
 
 @click.command(short_help="Draw the capture from a camera, without rain.")
 @click.argument("scene", default="bicycle")
-@click.option("--camera", metavar="NAME", help="A camera of the capture. [default: its first]")
-@click.option("--cameras", type=FILE, metavar="FILE.json", help="Cameras instead of the capture's.")
-@options.eye_options
-@click.option("--fov", type=float, metavar="DEG",
-              help="Horizontal field of view in degrees, with --eye. [default: 60]")  # fmt: skip
-@click.option("--up", type=Numbers("x,y,z"), help="Up in the picture, with --eye. [default: the "
-              "cameras' mean]")  # fmt: skip
-@click.option("--ortho-height", type=float, metavar="UNITS",
-              help="Orthographic camera, with --eye: height of the picture in units.")  # fmt: skip
-@click.option("--width", type=int, metavar="PX", help="Width in px. [default: 648]")
-@click.option("--height", type=int, metavar="PX",
-              help="Height in px. [default: the camera's shape]")  # fmt: skip
-@click.option("--depth", type=click.Choice(["expected", "median", "plane"]), default="expected",
-              show_default=True, help="expected, the mean depth of the splats' centres; median, "
-              "the splat at which half of the light is stopped; or plane, where the ray meets the "
-              "blended plane.")  # fmt: skip
-@click.option(
-    "--background",
-    type=Numbers("r,g,b"),
-    default=(0.0, 0.0, 0.0),
-    help="Colour behind the splats, 0 to 1, display-referred. [default: 0,0,0]",
-)
-@click.option("--hit", is_flag=True, help="Add an array hit to FILE.npz: the index in the file of "
-              "the splat at which half of the light is stopped, int32; -1 for none.")  # fmt: skip
-@click.option(
-    "--compensate",
-    is_flag=True,
-    help="Lower the opacity of splats smaller than a pixel, as Mip-Splatting does.",
-)
-@click.option("--out", "-o", type=FILE, required=True, metavar="FILE.png|FILE.npz",
-              help="Picture, or float32 arrays rgb, alpha, depth, normal.")  # fmt: skip
-@click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
+@_splat_options
 @options.threads_option
 @options.big_options
 @options.backend_option
 @options.json_option
-def splat(scene, out, overwrite, threads, as_json, **given):
+def splat(scene, out, overwrite, as_json, **given):
     """Draw the dry capture SCENE from a camera, without looking for its ground.
 
     Arrays: rgb (height, width, 3) display-referred over the background; alpha; depth in capture
@@ -87,23 +84,21 @@ def splat(scene, out, overwrite, threads, as_json, **given):
     if given["hit"] and out.suffix.lower() != ".npz":
         raise ParameterError(f"--hit goes with --out FILE.npz, not {out}; leave it out")
     _check(given)
+    config = settings("moderate", {name: given[name] for name in ("detail", "memory", "threads")})
     require_own_cameras(given["cameras"])
     import numpy as np
 
     from rainsim.jit import set_threads
 
-    set_threads(threads)
+    set_threads(config.threads)
     nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # drawing needs no ground
     capture = load_scene(scene, cameras=given["cameras"], ground_frame=nowhere)
     camera = _camera(capture, given)
     require_backend(given["backend"])
-    from rainsim.commands.given import settings
-
-    render = settings("moderate", {name: given[name] for name in ("detail", "memory")}).render
     notes = [*refused_folders(), *capture.notes, *_memory(capture, camera, out, given["backend"])]
     layers, milliseconds = draw(
         capture, camera, given["depth"], given["backend"], compensate=given["compensate"],
-        background=given["background"], hit=given["hit"], render=render,
+        background=given["background"], hit=given["hit"], render=config.render,
     )  # fmt: skip
     _write(Path(out), layers, camera)
     facts = {
@@ -112,9 +107,7 @@ def splat(scene, out, overwrite, threads, as_json, **given):
         "notes": notes,
     }  # fmt: skip
     if as_json:
-        import json
-
-        click.echo(json.dumps(facts, indent=1))
+        options.echo(facts, as_json, "")
         return
     for note in notes:
         click.echo(note, err=True)
@@ -126,14 +119,12 @@ def _check(given):
     if not all(0 <= channel <= 1 for channel in given["background"]):
         shown = ",".join(f"{channel:g}" for channel in given["background"])
         raise ParameterError(f"--background is {shown}; it must be r,g,b from 0 to 1 each")
-    if (given["eye"] is None) != (given["look_at"] is None):
-        raise ParameterError("--eye and --look-at go together; give both")
-    if given["eye"] is not None and given["camera"] is not None:
-        raise ParameterError("--camera and --eye are both given; leave one out")
-    for name in ("fov", "up", "ortho_height"):
+    check_options(given)
+    for name in ("up", "ortho_height"):
         if given[name] is not None and given["eye"] is None:
-            option = name.replace("_", "-")
-            raise ParameterError(f"--{option} goes with --eye and --look-at; give them or leave it")
+            raise ParameterError(
+                f"{dashed(name)} goes with --eye and --look-at; give them or leave it"
+            )
     if given["ortho_height"] is not None:
         require_positive("--ortho-height", given["ortho_height"], "units")
         if given["fov"] is not None:
@@ -147,7 +138,7 @@ def _check(given):
 def _camera(capture, given):
     """Return the camera that the options name or place, in the size asked for."""
     from rainsim.scene.camera_rule import require_camera
-    from rainsim.scene.cameras import PLACED, look_at
+    from rainsim.scene.cameras import PLACED
 
     refusal = "the camera", ParameterError, PLACED
     width, height = given["width"], given["height"]
@@ -158,12 +149,9 @@ def _camera(capture, given):
             height = max(round(width * camera.height / camera.width), 1)
         width = width or round(height * camera.width / camera.height)
         return require_camera(camera.resized(width, height), *refusal)
-    width = width or (round(height * DEFAULT_SHAPE) if height else DEFAULT_WIDTH)
-    height = height or max(round(width / DEFAULT_SHAPE), 1)
-    fov = DEFAULT_FOV if given["fov"] is None else given["fov"]
-    camera = look_at(given["eye"], given["look_at"], _up(capture, given), fov, width, height, "eye")
+    camera = placed_camera(given, _up(capture, given), width, height)
     if given["ortho_height"] is not None:
-        scale = height / given["ortho_height"]
+        scale = camera.height / given["ortho_height"]
         camera = replace(camera, fx=scale, fy=scale, orthographic=True)
         require_camera(camera, *refusal)
     return camera

@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import replace
 
 import click
 
@@ -19,7 +18,6 @@ QUARTERS = 4  # without a terminal a stage reports this often at least
 BEAT = 10.0  # s after which it reports again, and a stage that cannot count says that it goes on
 TICK = 1.0  # s between looks at the clock
 LEAST_LEFT = 5.0  # s; less is not worth saying
-NEAR = 0.05  # m from a camera, within which nothing is drawn
 
 _pressed = threading.Event()  # Ctrl-C, in this command, and no interrupt has been seen since
 
@@ -125,7 +123,7 @@ class Status:
     def _progress(self, stage, done, total):
         if self._stage is None or stage != self._stage.name:
             self.close()
-            self._stage = Stage(stage)
+            self._stage = StageProgress(stage)
             self._open(stage, done, total)
         self._stage.update(done, total)
         if self._bar is not None:
@@ -160,7 +158,7 @@ class Status:
         with self._lock:
             if self._compiling is None and done < total:
                 self.close()
-                self._compiling = _Compiling(total, processes)
+                self._compiling = _CompileProgress(total, processes)
             if self._compiling is not None:
                 self._compiling.update(share, done)
                 if done == total:
@@ -206,7 +204,7 @@ class Status:
             self._bar, self._stage = None, None
 
 
-class Stage:
+class StageProgress:
     """A stage as lines without a terminal: how far it is, and how long it will still take."""
 
     def __init__(self, name):
@@ -271,7 +269,7 @@ def in_words(seconds):
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
 
 
-class _Compiling:
+class _CompileProgress:
     """The bar, or the lines, of kernels that are being compiled; weighed by what each costs."""
 
     def __init__(self, total, processes):
@@ -304,7 +302,7 @@ class _Compiling:
     def beside(self, stage, done, total):
         """Name the stage that goes on meanwhile."""
         if self.stage is None or self.stage.name != stage:
-            self.stage = Stage(stage)
+            self.stage = StageProgress(stage)
             if self.bar is None:
                 click.echo(f"{stage} ...", err=True)
             else:
@@ -315,34 +313,3 @@ class _Compiling:
         """End the bar."""
         if self.bar is not None:
             self.bar.close()
-
-
-def loaded_scene(status, name, given):
-    """Load a scene as `given.scene_of` does; say what was loaded, found and only assumed."""
-    from rainsim.commands.given import scene_of
-
-    status.progress(READING, 0, 1)
-    scene = scene_of(name, given)
-    if any(scene.photographs):
-        from rainsim.raster import Rasterizer, prepare
-        from rainsim.scene.photographs import fidelity_notes
-
-        capture, near = Rasterizer(prepare(scene.splats)), NEAR / scene.ground_frame.meters_per_unit
-        own = {"depth": "median", "compensate": scene.antialiased}
-        notes = fidelity_notes(scene, lambda camera: capture.draw(camera, near, **own).color)
-        scene = replace(scene, notes=(*scene.notes, *notes))
-    say_scene(status, scene)
-    return scene
-
-
-def say_scene(status, scene):
-    """Say what was loaded, found and only assumed."""
-    status.progress(READING, 1, 1)
-    cameras = len(scene.cameras)
-    status.say(
-        f"scene {scene.name}: {scene.count:,} splats, {cameras} "
-        f"camera{'' if cameras == 1 else 's'}"
-        + (f", {len(scene.actors)} actors" if scene.actors else "")
-    )
-    status.notes(scene.notes)
-    status.notes(scene.ground_frame.notes)

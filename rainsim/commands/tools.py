@@ -9,8 +9,9 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside
-from rainsim.commands.given import paths_in, require_backend
-from rainsim.commands.status import Status, loaded_scene
+from rainsim.commands.given import require_backend
+from rainsim.commands.job import Job
+from rainsim.commands.status import Status
 from rainsim.errors import RainsimError
 
 GROUND_FRAME = "ground_frame.json"
@@ -18,16 +19,14 @@ GROUND_FRAME = "ground_frame.json"
 
 @click.command("import", short_help="Read a capture, find its ground, store both.")
 @click.argument("path", type=click.Path(path_type=Path))
-@click.option("--info", is_flag=True, help="Only print what PATH holds; write nothing.")
-@click.option(
-    "--lod", is_flag=True,
-    help="Cut a capture that is too large for the memory into chunks at several levels of detail "
-    "(Streamed SOG); it is read once, part by part.",
-)  # fmt: skip
+@options.option("info", bool, "Only print what PATH holds; write nothing.")
+@options.option("lod", bool, "Cut a capture that is too large for the memory into chunks at "
+                "several levels of detail (Streamed SOG); it is read once, part by part."
+                )  # fmt: skip
 @options.ground_options
 @options.resume_option
 @options.output_options("NAME-scene")
-def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **given):
+def import_(path, info, lod, **given):
     """Read a capture, find its ground, and write it as a scene folder.
 
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
@@ -51,31 +50,33 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         rainsim import --info biker.spz
     """
     if info:
-        _tell_info(path, as_json)
+        _tell_info(path, given["as_json"])
         return
     from rainsim.actors.actor_files import ACTORS_ARRAYS
     from rainsim.commands.cutting import cut_to_scene, require_cuttable
-    from rainsim.output_folder import Record, claimed
+    from rainsim.config.settings import Config
+    from rainsim.output_folder import Record
     from rainsim.scene.folder import import_scene, write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
-    status = Status(quiet)
+    job = Job(given, base=Config())
     if lod:
         whole = require_cuttable(path)
-        out = out or Path(f"{options.plain(path.stem)}-scene")
     else:
-        with status:
-            scene = loaded_scene(status, path, given)
-        out = out or Path(f"{options.plain(scene.name)}-scene")
-    with claimed(out, overwrite, resume, [path, *paths_in(given)]):
+        with job.status:
+            job.load(path)
+    name = path.stem if lod else job.scene.name
+    out = job.out = job.out or Path(f"{options.plain(name)}-scene")
+    with job.folder(path):
         if lod:
-            with status:
-                scene, record = cut_to_scene(status, *whole, out, given, resume)
+            with job.status:
+                record = cut_to_scene(job, *whole)
         else:
-            record = Record(out, scene)
-            if resume:  # one step: it is made again in the folder of the same scene
+            record = Record(out, job.scene)
+            if job.resume:  # one step: it is made again in the folder of the same scene
                 record.resume(())
             record.begin()
+        scene = job.scene
         frame = scene.ground_frame
         write_scene(out, scene)
         write_ground_frame(out / GROUND_FRAME, frame)
@@ -84,45 +85,51 @@ def import_(path, info, lod, out, overwrite, resume, threads, as_json, quiet, **
         record.add("scene.json", *arrays, *moving, GROUND_FRAME)
         record.write(complete=True)
         if scene.pages is None:
-            scene = import_scene(out)  # its map is kept for the runs of the folder
-        calibration = _calibration(status, scene, threads)
-    if as_json:
-        result = {
-            "out": str(out), "name": scene.name, "splats": len(scene.splats),
-            "cameras": [camera.name for camera in scene.cameras],
-            "ground_frame": ground_frame_to_dict(frame),
-            "calibration": calibration, "notes": list(scene.notes),
-        }  # fmt: skip
-        click.echo(json.dumps(result, indent=1))
-        return
-    click.echo(f"up                {_shown(frame.up)}")
-    click.echo(f"x axis            {_shown(frame.rotation[0])}")
-    click.echo(f"metres per unit   {frame.meters_per_unit:.6g}{_assumed(frame)}")
-    click.echo(f"origin            {_shown(frame.to_capture((0.0, 0.0, 0.0)))} (capture units)")
-    click.echo(f"confidence        {frame.confidence:.2f}")
+            job.scene = scene = import_scene(out)  # its map is kept for the runs of the folder
+        calibration = _calibration(job)
+    result = {
+        "out": str(out), "name": scene.name, "splats": len(scene.splats),
+        "cameras": [camera.name for camera in scene.cameras],
+        "ground_frame": ground_frame_to_dict(frame),
+        "calibration": calibration, "notes": list(scene.notes),
+    }  # fmt: skip
+    options.echo(result, job.as_json, _as_text(out, frame, calibration))
+
+
+def _as_text(out, frame, calibration):
+    """Return the ground frame, and what colours are taken for, as lines for a person."""
+
+    def numbers(vector):
+        return ", ".join(f"{v:.5f}" for v in vector)
+
+    assumed = " (ASSUMED)" if frame.scale_assumed else ""
+    lines = [
+        f"up                {numbers(frame.up)}",
+        f"x axis            {numbers(frame.rotation[0])}",
+        f"metres per unit   {frame.meters_per_unit:.6g}{assumed}",
+        f"origin            {numbers(frame.to_capture((0.0, 0.0, 0.0)))} (capture units)",
+        f"confidence        {frame.confidence:.2f}",
+    ]
     if calibration is not None:
-        click.echo(f"albedo            {calibration['note'].partition(': ')[2]}")
-        click.echo(f"zenith            {calibration['zenith']:.2f} x white, under clouds")
-    click.echo(f"scene folder      {out}")
+        lines += [
+            f"albedo            {calibration['note'].partition(': ')[2]}",
+            f"zenith            {calibration['zenith']:.2f} x white, under clouds",
+        ]
+    return "\n".join([*lines, f"scene folder      {out}"])
 
 
-def _calibration(status, scene, threads):
+def _calibration(job):
     """Return what the captured colours are taken for, None where no height map can be made."""
     from rainsim.compiling.uses import HEIGHTMAP
-    from rainsim.config.settings import Config
-    from rainsim.jit import set_threads
-    from rainsim.pipeline import extract_terrain
     from rainsim.shading.calibration import calibration_of
 
-    config = Config().replace(threads=threads).check()
-    with status, compiled_beside(status, [HEIGHTMAP], threads):
-        set_threads(threads)
+    with job.compiling([HEIGHTMAP]):
         try:
-            terrain = extract_terrain(scene, config, None, status.progress, status.notes)
+            terrain = job.extract_terrain()
         except RainsimError as error:
-            status.say(f"  no height map, so what the colours stand for is not known: {error}")
+            job.status.say(f"  no height map, so what the colours stand for is not known: {error}")
             return None
-        return calibration_of(scene, terrain)
+        return calibration_of(job.scene, terrain)
 
 
 def _tell_info(path, as_json):
@@ -130,14 +137,6 @@ def _tell_info(path, as_json):
 
     found = describe(path)
     options.echo(found, as_json, as_text(found))
-
-
-def _shown(vector):
-    return ", ".join(f"{v:.5f}" for v in vector)
-
-
-def _assumed(frame):
-    return " (ASSUMED)" if frame.scale_assumed else ""
 
 
 @click.command(short_help="List the scenes known by name.")
@@ -154,18 +153,14 @@ def scenes(as_json):
     """
     from rainsim.scene.library import list_scenes
 
-    found = list_scenes()
-    if as_json:
-        rows = [{"name": n, "where": str(w), "built_in": bool(b)} for n, w, b in found]
-        click.echo(json.dumps(rows, indent=1))
-        return
-    for name, where, _ in found:
-        click.echo(f"{name:<20} {where}")
+    rows = [{"name": n, "where": str(w), "built_in": bool(b)} for n, w, b in list_scenes()]
+    lines = [f"{row['name']:<20} {row['where']}" for row in rows]
+    options.echo(rows, as_json, "\n".join(lines))
 
 
 @click.command(short_help="List the presets, or print one.")
 @click.argument("name", required=False)
-@click.option("--keys", is_flag=True, help="List every key of a preset file with its meaning.")
+@options.option("keys", bool, "List every key of a preset file with its meaning.")
 @options.json_option
 def presets(name, keys, as_json):
     """List the presets, or print the preset NAME as a file to start your own from.
@@ -187,11 +182,8 @@ def presets(name, keys, as_json):
         click.echo(json.dumps(settings_of, indent=1) if as_json else preset_text(name), nl=as_json)
         return
     about = {n: _comment(preset_text(n)) for n in preset_names()}
-    if as_json:
-        click.echo(json.dumps(about, indent=1))
-        return
-    for n, text in about.items():
-        click.echo(f"{n:<10} {text}")
+    lines = [f"{n:<10} {text}" for n, text in about.items()]
+    options.echo(about, as_json, "\n".join(lines))
 
 
 def _list_keys(as_json):
@@ -199,13 +191,12 @@ def _list_keys(as_json):
 
     names = ("key", "unit", "default", "choices", "in_keyframes", "meaning")
     rows = [dict(zip(names, row, strict=True)) for row in table()]
-    if as_json:
-        click.echo(json.dumps(rows, indent=1))
-        return
+    lines = []
     for row in rows:
         value = "-" if row["default"] is None else f"{row['default']} {row['unit']}"
         choices = f" ({', '.join(row['choices'])})" if row["choices"] else ""
-        click.echo(f"{row['key']:<24} {value:<14} {row['meaning']}{choices}")
+        lines.append(f"{row['key']:<24} {value:<14} {row['meaning']}{choices}")
+    options.echo(rows, as_json, "\n".join(lines))
 
 
 def _comment(text):
@@ -220,7 +211,7 @@ def _comment(text):
 
 @click.command(short_help="Compile once for this machine.")
 @options.backend_option
-@click.option("--quiet", "-q", is_flag=True, help="Print errors only.")
+@options.quiet_option
 def warmup(backend, quiet):
     """Compile everything for this machine, once; later runs start at once.
 

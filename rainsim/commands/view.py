@@ -10,16 +10,10 @@ from pathlib import Path
 import click
 
 from rainsim.commands import options
-from rainsim.commands.compile import compiled_beside, uses_of
-from rainsim.commands.given import (
-    mask_of,
-    named_camera,
-    require_backend,
-    scene_to_look_at,
-    settings,
-    water_mask_of,
-)
-from rainsim.commands.status import READING, Status, say_scene
+from rainsim.commands.compile import uses_of
+from rainsim.commands.given import named_camera, require_backend, scene_to_look_at
+from rainsim.commands.job import Job
+from rainsim.commands.status import READING
 
 PORT = 8080
 FEWER_PIXELS = "?fixedDpr=0.5"  # of viser's page: a quarter of the pixels are drawn there
@@ -33,22 +27,21 @@ WAIT = 0.5  # s between looks at whether Ctrl-C was pressed
 @options.preset_option
 @options.rain_options
 @options.light_options
-@click.option("--camera", metavar="NAME", help="Where to begin. [default: the camera that "
-              "shows most water]")  # fmt: skip
-@click.option("--width", type=int, metavar="PX", show_default=options.PRESETS,
-              help="Width of a picture at rest, in px.")  # fmt: skip
+@options.option(
+    "camera", str, "Where to begin. [default: the camera that shows most water]", "NAME"
+)
+@options.option("width", int, "Width of a picture at rest, in px.", "PX", options.PRESETS)
 @options.backend_option
 @options.ground_options
 @options.terrain_options
 @options.mask_options
-@click.option("--port", type=click.IntRange(1, 65535), default=PORT, show_default=True,
-              help="Port on this machine; if it is in use, the next free one.")  # fmt: skip
-@click.option("--out", "-o", type=options.FOLDER, metavar="DIR",
-              show_default="rainsim-out/SCENE-view",
-              help="Folder for what is saved on the page.")  # fmt: skip
+@options.option("port", click.IntRange(1, 65535), "Port on this machine; if it is in use, the next "
+                "free one.", default=PORT)  # fmt: skip
+@options.option("out -o", options.FOLDER, "Folder for what is saved on the page.", "DIR",
+                "rainsim-out/SCENE-view")  # fmt: skip
 @options.threads_option
-@click.option("--quiet", "-q", is_flag=True, help="Print the address and errors only.")
-def view(scene, preset, camera, backend, class_mask, port, out, quiet, **given):
+@options.option("quiet -q", bool, "Print the address and errors only.")
+def view(scene, port, **given):
     """Look at SCENE in the rain in a browser, on this machine only; needs rainsim[view].
 
     SCENE is a name from `rainsim scenes`, a trained model's folder, a splat file or a scene folder.
@@ -62,22 +55,19 @@ def view(scene, preset, camera, backend, class_mask, port, out, quiet, **given):
         rainsim view
         rainsim view garden/ --preset moderate --camera DSC07956
     """
-    status = Status(quiet)
-    config = settings(preset, given)
-    _require_viser(backend)
-    mask, water = mask_of(class_mask), water_mask_of(given)
-    uses = uses_of(scene, config, ("clean",), backend)
-    with status, compiled_beside(status, uses, config.threads):
-        status.progress(READING, 0, 1)
+    job = Job(given)
+    _require_viser(job.backend)
+    masks = job.read_masks()
+    with job.compiling(uses_of(scene, job.config, ("clean",), job.backend)):
+        job.status.progress(READING, 0, 1)
         loaded, is_offered = scene_to_look_at(scene, given)
-        say_scene(status, loaded)
-        session, first = _session(status, loaded, config, camera, backend, (mask, water))
+        job.set_scene(loaded)
+        session, first = _session(job, masks)
     greeting = _greeting(session, is_offered)
     if greeting:
-        status.notes([greeting])
-    repeated = _repeated(given, backend, config.threads)
-    out = out or options.default_out(loaded.name, "view")
-    _serve(status, session, first, out, scene, repeated, port, greeting)
+        job.status.notes([greeting])
+    out = job.out or options.default_out(loaded.name, "view")
+    _serve(job.status, session, first, out, scene, _repeated(given), port, greeting)
 
 
 def _require_viser(backend):
@@ -93,7 +83,7 @@ def _require_viser(backend):
     require_backend(backend)
 
 
-def _session(status, scene, config, camera, backend, masks):
+def _session(job, masks):
     """Return a `Session` with terrain, water and light made, and the Viewpoint to begin with."""
     from rainsim.errors import GroundError
     from rainsim.jit import set_threads
@@ -101,19 +91,19 @@ def _session(status, scene, config, camera, backend, masks):
     from rainsim.surface.offered_views import with_offered_cameras
     from rainsim.view.session import Session
 
-    set_threads(config.threads)
-    config = replace(config, width=config.width or options.WIDTH, height=None)
-    seen = with_offered_cameras(scene)
+    set_threads(job.config.threads)
+    config = replace(job.config, width=job.config.width or options.WIDTH, height=None)
+    seen, status, camera = with_offered_cameras(job.scene), job.status, job.given["camera"]
     first = named_camera(seen, camera)  # an error before anything is computed
     session = Session(
-        scene, _around(config, first), backend, masks[0], status.progress, status.notes,
+        job.scene, _around(config, first), job.backend, masks[0], status.progress, status.notes,
         seen.cameras, masks[1],
     )  # fmt: skip
     try:
         session.make_ground()
     except GroundError:
         return session, session.viewpoint_of(first)
-    if camera is None and scene.source is not None:
+    if camera is None and job.scene.source is not None:
         first = view_of_water(seen, session.terrain)
         status.notes([f"camera {first.name} is shown first: it shows most water"])
         session.set_config(_around(config, first))
@@ -144,11 +134,10 @@ def _around(config, camera):
     return config.replace(surroundings=tuple(float(v) for v in camera.position))
 
 
-def _repeated(given, backend, threads):
+def _repeated(given):
     """Return the options that a printed command repeats: those that no saved file holds."""
-    repeated = [] if given["cameras"] is None else ["--cameras", str(given["cameras"])]
-    repeated += [] if backend == "cpu" else ["--backend", backend]
-    return [*repeated, *([] if threads is None else ["--threads", str(threads)])]
+    names = [name for name in ("cameras", "backend", "threads") if given[name] not in (None, "cpu")]
+    return [word for name in names for word in (f"--{name}", str(given[name]))]
 
 
 def _has_graphics():
@@ -173,7 +162,7 @@ def _serve(status, session, first, out, scene, repeated, port, greeting):
     page = drawing = None
     painter = Painter(
         session, lambda *shown: page.show(*shown), lambda text: page.say(text),
-        lambda error: page.fail(error), leaves=lambda *told: page.leaves(*told),
+        lambda error: page.fail(error), badly_seen=lambda *told: page.show_badly_seen(*told),
     )  # fmt: skip
     try:
         page = Page(painter, Home(Path(out), scene, repeated, click.echo), port, first, greeting)

@@ -323,7 +323,7 @@ class WetScene:
         return WetPicture(picture, depth, clearance, view, picture)
 
     def _shading_of(self, mirrored):
-        """Return ground, wetness off it, skies and look, as the grading kernels take them."""
+        """Return the arguments of the grading kernels: ground, wetness off it, sky and look."""
         now = self.shading
         return now.ground, now.off_ground, now.mirrored_sky if mirrored else now.sky, now.look
 

@@ -314,7 +314,10 @@ def take_normals_around(dry, normals, view, row, left, n, layer, s, step):
 
 @inlined_function
 def add_around(depths, normals, row, left, n, step, s):
-    """Sum up the normals of like depth around each of n pixels into SMOOTH, ACROSS and DOWN."""
+    """Sum the surface normals of like depth in a window around each of n pixels.
+
+    The rows SMOOTH, ACROSS and DOWN of `s` are scratch memory for x, y and z of the sums.
+    """
     rows, columns = depths.shape
     for i in range(n):
         s[SMOOTH + i], s[ACROSS + i], s[DOWN + i] = ZERO, ZERO, ZERO

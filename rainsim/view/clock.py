@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass
-class Clock:
+class PlayClock:
     """The index of the state that is shown, and when the next one is due.
 
     No state is left out: where a machine is too slow for the speed that is wanted, time is slower.

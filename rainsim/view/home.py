@@ -30,7 +30,7 @@ END_WAIT = 20.0  # s for a run that was interrupted to write its record
 
 
 @dataclass(frozen=True)
-class Taken:
+class Saved:
     """The folder that was written, and the command that draws from it.
 
     Attributes
@@ -69,7 +69,7 @@ class Home:
         self.say = say or (lambda line: None)
 
     def save_shot(self, session, view, index, width, height):
-        """Write the picture of a view as the command draws it; return the folder as `Taken`.
+        """Write the picture of a view as the command draws it; return the folder as `Saved`.
 
         The parameters are those of `save_view`.
         """
@@ -80,7 +80,7 @@ class Home:
         return self._write_view(session, folder, view, index, (width, height))
 
     def save_view(self, session, view, index, width, height):
-        """Write the files for the command of one picture and draw nothing; return them as `Taken`.
+        """Write the files for the command of one picture and draw nothing; return them as `Saved`.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class Home:
         return self._write(session, folder, config, data, frames)
 
     def save_path(self, session, keyframes, width, height, video=False):
-        """Write a path through keyframes and the settings along it; return the folder as `Taken`.
+        """Write a path through keyframes and the settings along it; return the folder as `Saved`.
 
         The other parameters are those of `save_shot`; with `video` the command makes one.
         """
@@ -119,13 +119,13 @@ class Home:
         return self._write(session, folder, config, data, frames)
 
     def save_ground(self, session):
-        """Write ground frame and painted classes, as options take them; return them as `Taken`."""
+        """Write ground frame and painted classes, as options take them; return them as `Saved`."""
         folder = self._new("ground")
         options = self._ground(session, folder)
-        return Taken(folder, ["view", self.scene, *options, *self.options])
+        return Saved(folder, ["view", self.scene, *options, *self.options])
 
     def save_scene(self, session):
-        """Write the scene with its mended ground as a scene folder; return the folder as `Taken`.
+        """Write the scene with its mended ground as a scene folder; return the folder as `Saved`.
 
         Every command takes the folder in place of the capture, with the painted classes. Water
         that was put on the ground lies beside it as a mask.
@@ -134,7 +134,7 @@ class Home:
         if session.mask is not None:
             scene = replace(scene, painted=painted_classes(session.mask, session.terrain.grid))
         write_scene(folder, scene)
-        return Taken(folder, ["view", relative(folder), *_water(session, folder)])
+        return Saved(folder, ["view", relative(folder), *_water(session, folder)])
 
     def _write(self, session, folder, config, data, frames):
         """Write camera path, preset and command into a folder."""
@@ -147,9 +147,9 @@ class Home:
             "--width", str(config.width), "--height", str(config.height), *frames,
             "--out", relative(folder / DRAWN),
         ]  # fmt: skip
-        taken = Taken(folder, command)
-        _write_text(folder / COMMAND, taken.line + "\n")
-        return taken
+        saved = Saved(folder, command)
+        _write_text(folder / COMMAND, saved.line + "\n")
+        return saved
 
     def _ground(self, session, folder):
         """Write ground frame and painted classes into a folder; return their options."""
@@ -183,26 +183,26 @@ def _write_text(path, text):
         temporary.write_text(text, encoding="utf-8")
 
 
-class Run:
+class CommandRun:
     """A `rainsim` command in a process of its own, with its progress.
 
     Parameters
     ----------
-    taken : Taken
+    saved : Saved
     """
 
-    def __init__(self, taken):
-        self.taken, self._said = taken, ""
-        self.frames = _frames_of(taken.command)
+    def __init__(self, saved):
+        self.saved, self._said = saved, ""
+        self.frames = _frames_of(saved.command)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "rainsim", *taken.command], stdout=subprocess.DEVNULL,
+            [sys.executable, "-m", "rainsim", *saved.command], stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, start_new_session=True,
         )  # fmt: skip
 
     @property
     def drawn(self):
         """Number of frames that are written."""
-        folder = self.taken.folder / DRAWN / "frames"
+        folder = self.saved.folder / DRAWN / "frames"
         return sum(1 for _ in folder.glob("*.png")) if folder.is_dir() else 0
 
     def follow(self, say):

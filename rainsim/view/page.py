@@ -174,7 +174,7 @@ class Page:
                 f"t = {self.painter.clock.time:.2f} s"
             )
 
-    def leaves(self, key, share):
+    def show_badly_seen(self, key, share):
         """Tell a page how much of its finished picture is badly seen; of the drawing thread."""
         client = self.clients.get(key)
         if client is None:

@@ -7,7 +7,7 @@ import threading
 from rainsim.config.frame_settings import MAX_SIDE
 from rainsim.errors import ParameterError, RainsimError
 from rainsim.io.video import VideoFormat, require_video
-from rainsim.view.home import Run
+from rainsim.view.home import CommandRun
 from rainsim.view.page_keyframes import KeyframeTools
 
 LOOK_EVERY = 0.5  # s between looks at how far a film is
@@ -19,13 +19,13 @@ class HomeTools:
     Attributes
     ----------
     keyframes : KeyframeTools
-    taken : Taken or None
+    saved : Saved or None
         What was saved last.
     """
 
     def __init__(self, page, home):
         self.page, self.painter, self.home = page, page.painter, home
-        self.taken, self._run = None, None
+        self.saved, self._run = None, None
         gui, config = page.server.gui, page.painter.config
 
         def button(label, function, **more):
@@ -77,18 +77,18 @@ class HomeTools:
         self._draw_here(event)
 
     def _took(self, future):
-        self.taken = future.result()
-        self.home.say(self.taken.line)
-        self.words.content = f"saved in `{self.taken.folder}`\n\n```\n{self.taken.line}\n```"
+        self.saved = future.result()
+        self.home.say(self.saved.line)
+        self.words.content = f"saved in `{self.saved.folder}`\n\n```\n{self.saved.line}\n```"
 
     # --- drawing here -----------------------------------------------------------------------------
 
     def _draw_here(self, event):
-        if self.taken is None:
+        if self.saved is None:
             raise ParameterError("nothing is saved yet; save the picture or the path first")
         if self._run is not None:
             raise RainsimError("a film is being drawn; wait for it or cancel it")
-        self._run = run = Run(self.taken)
+        self._run = run = CommandRun(self.saved)
         self.stop.disabled, self.progress.visible, self.progress.value = False, True, 0.0
         self.page.begin(lambda: self._follow(run))
 
@@ -107,7 +107,7 @@ class HomeTools:
         self.stop.disabled, self.progress.value = True, 100.0 * run.drawn / run.frames
         how = "drawn in" if code == 0 else "ended early"
         self.words.content = (
-            f"{run.drawn} of {run.frames} frames, {how} `{run.taken.folder}`\n\n{run.last_line}"
+            f"{run.drawn} of {run.frames} frames, {how} `{run.saved.folder}`\n\n{run.last_line}"
         )
 
     def cancel(self):

@@ -159,7 +159,7 @@ class Uploads:
     def __init__(self):
         self._left = WeakKeyDictionary()  # of each connection: bytes still to come, by transfer
 
-    def take(self, connection, kind, values):
+    def receive(self, connection, kind, values):
         """Note a message of a file; raise ParameterError if it is too large or there are many."""
         own, name = self._left.setdefault(connection, {}), values["transfer_uuid"]
         if kind == "FileTransferStartUpload":
@@ -211,7 +211,7 @@ class Checks:
                 require_value(control, values["updates"]["value"])
             elif uuid is not None:
                 require_upload(control)
-                self._uploads.take(connection, kind, values)
+                self._uploads.receive(connection, kind, values)
             Message.deserialize(raw)
         except UnfinishedError:
             return False
@@ -244,7 +244,7 @@ def connections_of(checks):
 
 
 def may_show(connection):
-    """Return whether a page may show another error: one that sends many shows one a second."""
+    """Return whether a page may show another error; each shows at most one a second."""
     now = time.monotonic()
     if now - connection.last_shown < WORDS_EVERY:
         return False

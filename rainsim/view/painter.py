@@ -13,7 +13,7 @@ import numpy as np
 from rainsim.errors import GroundError, RainsimError
 from rainsim.jit import set_threads
 from rainsim.view import schedule
-from rainsim.view.clock import Clock
+from rainsim.view.clock import PlayClock
 from rainsim.view.modes import RAIN, mode_picture
 from rainsim.view.schedule import Schedule
 from rainsim.view.session import OutOfDateError
@@ -64,20 +64,21 @@ class Painter:
         fail(error) reports a RainsimError that settings led to.
     now : callable
         The clock [s].
-    leaves : callable, optional
-        leaves(key, share) tells how much of a finished picture the capture's cameras hardly saw.
+    badly_seen : callable, optional
+        badly_seen(key, share) gets the share of a finished picture that the capture's cameras
+        hardly saw.
 
     Attributes
     ----------
     schedule : Schedule
-    clock : Clock
+    clock : PlayClock
     """
 
-    def __init__(self, session, show, say=None, fail=None, now=time.perf_counter, leaves=None):
-        self.session, self._show, self._now, self._leaves = session, show, now, leaves
+    def __init__(self, session, show, say=None, fail=None, now=time.perf_counter, badly_seen=None):
+        self.session, self._show, self._now, self._badly_seen = session, show, now, badly_seen
         self._say, self._fail = say or (lambda text: None), fail or (lambda error: None)
         self.schedule = Schedule(full=session.config.width)
-        self.clock = Clock(session.config.frames, session.config.fps)
+        self.clock = PlayClock(session.config.frames, session.config.fps)
         self._lock = threading.Condition()
         self._asked = queue.SimpleQueue()
         self._config, self._modes, self._ended = session.config, {}, False
@@ -262,10 +263,10 @@ class Painter:
         self._show(job.client, Shown(picture, depth if finished else None, job, seconds))
         what = "finished" if finished else "moving"
         self._say(f"{what}: {job.width} x {job.height}, {seconds * 1e3:.0f} ms")
-        if finished and self._leaves is not None:
+        if finished and self._badly_seen is not None:
             share = session.badly_seen(job.view, job.width, job.height)
             if share is not None:
-                self._leaves(job.client, share)
+                self._badly_seen(job.client, share)
 
     def _make(self, check):
         """Make the parts that are out of date, once for each choice of settings that fails."""

@@ -24,7 +24,7 @@ SOURCES = {MEASURED: "measured", INFERRED: "inferred"}
 
 
 @dataclass(frozen=True)
-class Reading:
+class ProbeReading:
     """Place, ground, water and class at a clicked point.
 
     Attributes
@@ -97,20 +97,20 @@ def point_at(session, view, place, size):
 
 
 def read_point(session, point, index):
-    """Return the `Reading` of a point of the ground frame [m] with the water of a state."""
+    """Return the `ProbeReading` of a point of the ground frame [m] with the water of a state."""
     terrain = session.terrain
     capture = tuple(float(v) for v in session.scene.ground_frame.to_capture(point))
     point = tuple(float(v) for v in point)
     if terrain is None:
-        return Reading(point, capture, None, float("nan"), 0.0, "")
+        return ProbeReading(point, capture, None, float("nan"), 0.0, "")
     row, column, inside = terrain.grid.cells(point[0], point[1])
     if not inside:
-        return Reading(point, capture, None, float("nan"), 0.0, "")
+        return ProbeReading(point, capture, None, float("nan"), 0.0, "")
     cell = int(row), int(column)
     name = class_table().names[terrain.ground_class[cell]]
     source = SOURCES.get(int(terrain.source[cell]), "unknown")
     depth = float(session.water.state(index).depth[cell])
-    return Reading(point, capture, cell, float(terrain.bed[cell]), depth, f"{name}, {source}")
+    return ProbeReading(point, capture, cell, float(terrain.bed[cell]), depth, f"{name}, {source}")
 
 
 def meters_per_unit_of(scene, a, b, length):

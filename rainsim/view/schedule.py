@@ -20,7 +20,7 @@ SMALL, SHARP, EXACT = range(3)  # steps in which a picture is refined
 
 
 @dataclass
-class Client:
+class Viewer:
     """One page that looks.
 
     Attributes
@@ -108,7 +108,7 @@ class Schedule:
 
     def add(self, key, now):
         """Add a client to the schedule."""
-        self.clients[key] = Client(changed=now, served=now)
+        self.clients[key] = Viewer(changed=now, served=now)
 
     def remove(self, key):
         """Forget a client."""

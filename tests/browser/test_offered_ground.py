@@ -174,11 +174,11 @@ def test_a_mark_goes_when_another_tool_is_chosen(server, open_page):
 def test_a_click_that_is_answered_after_another_tool_was_chosen_leaves_no_mark():
     viser = pytest.importorskip("viser")
     from rainsim.view.page_ground import MEASURE, TOOLS, GroundTools
-    from rainsim.view.probe import Reading
+    from rainsim.view.probe import ProbeReading
 
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
-        asked, reading = [], Reading((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None, 0.0, 0.0, "")
+        asked, reading = [], ProbeReading((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None, 0.0, 0.0, "")
         painter = SimpleNamespace(
             clock=SimpleNamespace(index=0),
             ask=lambda function: SimpleNamespace(result=lambda: asked.pop()()),

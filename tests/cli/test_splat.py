@@ -60,7 +60,7 @@ def test_orthographic_from_above_has_one_depth_on_level_ground(folder, tmp_path)
     [
         (["--out", "x.jpg"], "must end in .png or .npz"),
         (["--eye", "0,0,1", "--out", "x.png"], "go together"),
-        (["--fov", "50", "--out", "x.png"], "goes with --eye"),
+        (["--fov", "50", "--out", "x.png"], "--fov is given without --eye"),
         (["--camera", "nobody", "--out", "x.png"], "nobody"),
         (["--width", "0", "--out", "x.png"], "must be 1 to"),
         (["--out", "nowhere/x.png"], "does not exist"),

@@ -71,16 +71,16 @@ def test_uploads_do_not_pile_up():
     uploads, pages = Uploads(), [threading.Event(), threading.Event()]  # what can be kept weakly
     start = {"transfer_uuid": "0", "size_bytes": 9}
     for n in range(MOST_UPLOADS):
-        uploads.take(pages[n % 2], "FileTransferStartUpload", start | {"transfer_uuid": str(n)})
+        uploads.receive(pages[n % 2], "FileTransferStartUpload", start | {"transfer_uuid": str(n)})
     with pytest.raises(ParameterError, match="on their way already"):
-        uploads.take(pages[0], "FileTransferStartUpload", start | {"transfer_uuid": "more"})
+        uploads.receive(pages[0], "FileTransferStartUpload", start | {"transfer_uuid": "more"})
     for content in (b"1234", b"56789"):
-        uploads.take(pages[0], "FileTransferPart", {"transfer_uuid": "0", "content": content})
+        uploads.receive(pages[0], "FileTransferPart", {"transfer_uuid": "0", "content": content})
     with pytest.raises(ParameterError, match="more of a file than it has"):
-        uploads.take(pages[0], "FileTransferPart", {"transfer_uuid": "0", "content": b"x"})
+        uploads.receive(pages[0], "FileTransferPart", {"transfer_uuid": "0", "content": b"x"})
     del pages[1]  # a page that leaves takes its files with it
     for n in "abc":
-        uploads.take(pages[0], "FileTransferStartUpload", start | {"transfer_uuid": n})
+        uploads.receive(pages[0], "FileTransferStartUpload", start | {"transfer_uuid": n})
 
 
 @pytest.mark.parametrize("turn", [(0, 0, 0, 0), (2, 0, 0, 0), (1, 0, 0), "abcd"])

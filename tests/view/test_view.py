@@ -443,7 +443,7 @@ class Pages:
         self.painter = Painter(
             session, lambda key, shown: self.shown.append((key, shown)),
             fail=self.errors.append, now=lambda: self.time,
-            leaves=lambda key, share: self.left.append((key, share)),
+            badly_seen=lambda key, share: self.left.append((key, share)),
         )  # fmt: skip
         self.painter.set_sizes(full=SIZE[0], least=32)
         self.painter.schedule._pace = 1.0  # slow: small pictures are the least ones

@@ -23,7 +23,7 @@ from rainsim.scene.camera_path import (
     path_moments,
 )
 from rainsim.view import schedule
-from rainsim.view.clock import Clock
+from rainsim.view.clock import PlayClock
 from rainsim.view.keyframes import (
     Keyframe,
     moments_of,
@@ -187,7 +187,7 @@ def test_pictures_in_motion_are_drawn_with_the_number_of_threads_that_is_faster(
 
 
 def test_time_plays_at_its_speed_loops_and_stands_still():
-    clock = Clock(frames=3, fps=10.0)
+    clock = PlayClock(frames=3, fps=10.0)
     assert clock.wait(0.0) is None and not clock.tick(5.0)
     clock.play(0.0)
     assert clock.wait(0.0) == pytest.approx(0.1)
@@ -204,7 +204,7 @@ def test_time_plays_at_its_speed_loops_and_stands_still():
 
 
 def test_a_late_machine_slows_time_and_leaves_no_frame_out():
-    clock = Clock(frames=100, fps=100.0)
+    clock = PlayClock(frames=100, fps=100.0)
     clock.play(0.0)
     for n in range(1, 6):
         assert clock.tick(float(n)) and clock.index == n

@@ -145,7 +145,7 @@ def dim_lamps(many, picture_out):
     """Make the colours of a picture no brighter than BRIGHT if it shows lamps, as on the CPU.
 
     many : device array of shape (1,), int32
-        Lamps.
+        Number of lamps.
     """
     column, row = cuda.grid(2)
     if many[0] == 0 or row >= picture_out.shape[0] or column >= picture_out.shape[1]:
@@ -163,7 +163,7 @@ def add_lamps(many, camera, step, ground, seen, level_size, field_out):
     """Add the light of lamps that wet ground mirrors to each block; see the CPU's kernel.
 
     many : device array of shape (1,), int32
-        Lamps; the array of lamps may be longer.
+        Number of lamps; the array of lamps may be longer.
     level_size : device array of shape (2,), float32
         Columns and rows of the level picture, whose arrays may be larger.
     """
