@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from rainsim.io.states import NO_TRACKS
 from rainsim.shading import wetness
 from rainsim.shading.bodies import BodyMap
 from rainsim.shading.surface_point import GroundMaps
+from rainsim.water.tracks import NO_TRACKS
 
 
 class TrackedMap(NamedTuple):
@@ -71,7 +71,7 @@ class WetGround:
         self._lay_tracks(wetness.ground_wetness(self.terrain, self.grass, self.reach, now))
 
     def take_tracks(self, tracks):
-        """Take over where tyres have thinned the film, see `Tyres.tracks`; return if that is new.
+        """Take over where tyres have thinned the film, see `tracks_of`; return if that is new.
 
         Parameters
         ----------
@@ -96,6 +96,11 @@ class WetGround:
     def map(self):
         """How wet each cell is, see `TrackedMap.map`; None until `wet` is called."""
         return None if self.tracked is None else self.tracked.map
+
+    @property
+    def full_film(self):
+        """How full the film of each cell is (ny, nx) where no tyre has rolled, 0 to 1."""
+        return self.tracked.untouched[..., wetness.Wetness._fields.index("film")]
 
     @property
     def maps(self):
