@@ -57,14 +57,16 @@ class Rolls(NamedTuple):
         return Rolls(*(part[where] for part in self))
 
 
-def cars_of(footprints):
-    """Return the motions of the actors that have tyres.
+def cars_of(footprints, render):
+    """Return the motions of the actors that have tyres; none if a RenderConfig leaves spray out.
 
     Raises
     ------
     ParameterError
         If a car's box is none of a road vehicle, or its track faster than FASTEST.
     """
+    if render.spray == "off":
+        return []
     cars = [footprint.motion for footprint in footprints if len(footprint.motion.wheels)]
     for car in cars:
         speed = car.speeds()

@@ -117,8 +117,7 @@ class Conductor:
         self._common_rings, self.sheltered = None, []
         self._ringed = None, None  # shelters, and the rings that were last found for them
         terrain = with_footprints(tops_drawn(terrain, config), scene)
-        self._footprints = terrain.footprints
-        self.cars = self._cars(config)
+        self.cars = cars_of(terrain.footprints, config.render)
         self._first_camera = fixed_camera(scene, terrain, config) or first_camera
         self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
         light = self.wet_scene.sky
@@ -187,22 +186,15 @@ class Conductor:
         put("drips", (state.drips, state.drip_id))
 
     def roll(self, time, depth):
-        """Put what tyres throw at a time [s], and lay their tracks; before `take`.
-
-        The water on the ground has a `depth` (ny, nx) [m]; without `cars` none is looked at.
-        """
+        """Put where tyres have rolled until a time [s] over water of a depth [m]; before `take`."""
         rolls, tracks = None, NO_TRACKS
         if self.cars:
             self.set_time(time)
-            rain, terrain = self.now.rain, self.ground.terrain
-            film = self.wet_scene.ground.full_film
-            rolls = rolled(self.cars, terrain, depth, film, time, self.weather, rain)
-            tracks = tracks_of(rolls, terrain, depth, time, rain.rate)
+            terrain, film = self.ground.terrain, self.wet_scene.ground.full_film
+            rolls = rolled(self.cars, terrain, depth, film, time, self.weather, self.now.rain)
+            tracks = tracks_of(rolls, terrain, depth, time, self.now.rain.rate)
         self.frame.put("rolls", rolls)
         self.wet_scene.take_tracks(tracks)
-
-    def _cars(self, config):
-        return [] if config.render.spray == "off" else cars_of(self._footprints)
 
     def field(self, time):
         """Return the drops whose streaks or splashes a frame shows, a RainField; None: no rain."""
@@ -281,7 +273,7 @@ class Conductor:
         until a renderer with those is made, pictures are an approximation.
         """
         self.config, self.weather, self._lit_for = config, Weather(config), None
-        self.cars = self._cars(config)
+        self.cars = cars_of(self.ground.terrain.footprints, config.render)
         self.take_methods(config.render)
         put, rain, render = self._set_up.put, self.weather.mean_rate, config.render
         put("terrain", self.ground.terrain)

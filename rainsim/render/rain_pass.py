@@ -31,10 +31,8 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
         None without rain.
     surfaces : Surfaces
         What drops land on.
-    drips : tuple
-        Drips in the air and their numbers.
-    rolls : Rolls or None
-        Where tyres have thrown water.
+    drips, rolls
+        Drips in the air with their numbers; the `Rolls` of tyres or None.
 
     Returns
     -------

@@ -28,11 +28,6 @@ class TrackedMap(NamedTuple):
     map: np.ndarray
     rows: slice
 
-    def restored(self):
-        """Return the array `map` with the numbers of `untouched`."""
-        self.map[self.rows] = self.untouched[self.rows]
-        return self.map
-
 
 class WetGround:
     """A part of the ground and how wet it is.
@@ -59,7 +54,7 @@ class WetGround:
         self.terrain, self.reach, self.grass = terrain, reach, blurred_grass(terrain)
         self.tracked = self.bodies = None
         self.thickest_layer = terrain.layer.max(initial=np.float32(0))
-        self._tracks, self._copies = NO_TRACKS, []
+        self._tracks = NO_TRACKS
 
     def stand(self, actors):
         """Find the smooth bodies that stand on the ground, and where `actors` (or None) are."""
@@ -67,16 +62,10 @@ class WetGround:
 
     def wet(self, now):
         """Find how wet the ground is at the settings of one time."""
-        self._copies = []
         self._lay_tracks(wetness.ground_wetness(self.terrain, self.grass, self.reach, now))
 
     def take_tracks(self, tracks):
-        """Take over where tyres have thinned the film, see `tracks_of`; return if that is new.
-
-        Parameters
-        ----------
-        tracks : ndarray of shape (ny, nx) or (0, 0), uint8
-        """
+        """Take over where tyres have thinned the film, see `tracks_of`; return if that is new."""
         if tracks is self._tracks or np.array_equal(tracks, self._tracks):
             return False
         self._tracks = tracks
@@ -84,13 +73,12 @@ class WetGround:
         return True
 
     def _lay_tracks(self, untouched):
-        """Lay the tracks on a copy of the map; there are two, so that the last one stays."""
-        if not self._tracks.size:
-            self.tracked = TrackedMap(untouched, untouched, slice(0, 0))
-            return
-        ground = untouched.copy() if len(self._copies) < 2 else self._copies.pop(0).restored()
-        self.tracked = TrackedMap(untouched, ground, wetness.thin_film(ground, self._tracks))
-        self._copies.append(self.tracked)
+        """Lay the tracks on a copy of the map, so that the last one stays."""
+        ground, rows = untouched, slice(0, 0)
+        if self._tracks.size:
+            ground = untouched.copy()
+            rows = wetness.thin_film(ground, self._tracks)
+        self.tracked = TrackedMap(untouched, ground, rows)
 
     @property
     def map(self):

@@ -74,7 +74,7 @@ def drive(speed, depth, time=0.25, wheels=WHEEL, film=0.0):
     terrain = road()
     terrain.footprints = (driving(speed, wheels),)
     water, share = (np.full(terrain.grid.shape, value, np.float32) for value in (depth, film))
-    cars = cars_of(terrain.footprints)
+    cars = cars_of(terrain.footprints, CALM.render)
     return rolled(cars, terrain, water, share, time, Weather(CALM), CALM.rain), terrain
 
 
@@ -309,16 +309,16 @@ def test_boxes_that_are_no_car(scale):
     terrain = road()
     terrain.footprints = (driving(10.0, None, scale=scale),)
     with pytest.raises(ParameterError, match="road vehicle"):
-        cars_of(terrain.footprints)
+        cars_of(terrain.footprints, CALM.render)
 
 
 def test_a_track_that_no_car_drives():
     terrain = road()
     terrain.footprints = (driving(1.01 * FASTEST),)
     with pytest.raises(ParameterError, match="moves at 101 m/s"):
-        cars_of(terrain.footprints)
+        cars_of(terrain.footprints, CALM.render)
     terrain.footprints = (driving(0.99 * FASTEST),)
-    assert len(cars_of(terrain.footprints)) == 1
+    assert len(cars_of(terrain.footprints, CALM.render)) == 1
 
 
 def test_wheels_in_files(scene, tmp_path):
