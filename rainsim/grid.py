@@ -259,19 +259,6 @@ class WaterSolver:
             self._ledger.drained += self.sources.drain(rows, columns, np.asarray(volumes))
             self._has_deposits = True
 
-    def lift(self, rows, columns, left):
-        """Take the water of cells down to a depth of `left` [m], the film's last; return it [m3].
-
-        The ledger has it as drained. `rows` and `columns` name no cell twice.
-        """
-        require_drops(rows, columns, np.zeros(len(rows)), self.shape)
-        if not len(rows):
-            return 0.0
-        taken = self.sources.lift(rows, columns, left)
-        self._ledger.drained += taken
-        self._has_deposits = True
-        return taken
-
     # -- time ----------------------------------------------------------------------------------
 
     @one_caller

@@ -29,7 +29,6 @@ from rainsim.water.puddles import WET, doubt, probability, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
 from rainsim.water.streams import run_in, run_off, with_streams
 from rainsim.water.top_water import TopWater
-from rainsim.water.window_tyres import tyres_of
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 5.0  # s of rain before the first frame: then rings come and go in balance
@@ -73,8 +72,6 @@ def steady_water(terrain, config, number, beyond=None):
 
 def widened(state, window, begun):
     """Return the state of a window over all that lies around it, where the water stands still.
-
-    Tracks of tyres are those of all that lies around it already.
 
     Parameters
     ----------
@@ -176,16 +173,13 @@ def simulate(terrain, config, dtype=np.float32, begin=None):
     whole = _area(terrain, exposure)
     by_keyframes = moved_water(terrain, config, exposure, begun)
     solver = water_solver(terrain, start, dtype)
-    tyres = tyres_of(terrain, config, begin)
-    if begin:  # cars have come before the water's account opens
-        begin = begin._replace(depth=tyres.come(begin.depth, weather, first))
     depth, notes = _filled(solver, terrain, start, exposure, begin)
     ripples = ripple_tile(config, weather, None if begin else (depth, terrain.grid.spacing))
     objects = Objects(surfaces, start, *tops_of(terrain, config, start), keep=begin is None)
     warm_up(ripples, objects, weather, begun)
     objects.open_account()
     in_window, begin, depth = begin is not None, None, None  # the maps of the start are let go
-    index, hits, report = first, None, tyres.start(solver, weather, begun)
+    index, hits, report = first, None, None
     while True:
         time = index / config.fps
         if index > first:
@@ -201,7 +195,6 @@ def simulate(terrain, config, dtype=np.float32, begin=None):
                 solver.deposit(landed.row, landed.column, landed.volume)
                 objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
             solver.deposit(*objects.advance(before, time, weather))  # drips from objects
-            tyres.roll(solver, before, time, weather)
             if rain and in_window:
                 rings_on(ripples, rain, before, time)
             elif rain:  # rings of both
@@ -212,12 +205,12 @@ def simulate(terrain, config, dtype=np.float32, begin=None):
             report = solver.advance(time - before, rain=fine)
         deep, met = np.array(solver.depth, np.float32), _met(hits)
         flow = np.stack(solver.velocity).astype(np.float32, copy=False)
-        ledger = tyres.book(objects.ledger(report, solver), time).as_dict()
+        ledger = objects.ledger(report, solver).as_dict()
         hits = landed = fine = opened = None  # tens of MB that nobody needs while a frame is drawn
         yield SimState(
             index, time, deep, flow, ripples.slopes(), ripples.size, *met, ledger,
             notes if index == first else (), *objects.falling(),
-            top_water=objects.top_water(), **tyres.state(deep, time),
+            top_water=objects.top_water(),
         )  # fmt: skip
         index += 1
 

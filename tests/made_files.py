@@ -5,7 +5,7 @@ import zipfile
 
 import numpy as np
 
-from rainsim.io.states import AT, DRIP_COLUMNS, THROW_COLUMNS, SimState
+from rainsim.io.states import DRIP_COLUMNS, SimState
 from rainsim.ledger import Ledger
 from rainsim.terrain.types import Grid, Terrain, Tops
 
@@ -35,14 +35,11 @@ def small_state(index=2):
     """A state of a few millimetres of water on `small_terrain`."""
     drips = np.zeros((2, len(DRIP_COLUMNS)))
     drips[:, 4:7] = 0.005, 0.1, 0.3  # diameter, begin, end
-    throws = np.full((2, len(THROW_COLUMNS)), 1e-3)
-    throws[:, AT["end"]], throws[:, AT["x_end"]] = 0.04, 0.5
     return SimState(
         index, index / 24, np.full(SHAPE, 2e-3, np.float32), np.zeros((2, *SHAPE), np.float32),
         np.zeros((2, 8, 8), np.float32), 1.0, np.zeros((3, 3), np.float32),
         np.full(3, 2e-3, np.float32), np.zeros(3, np.uint8), Ledger(initial=1.0).as_dict(),
-        ("a note",), drips, np.arange(2, dtype=np.uint64), np.zeros(1), throws,
-        np.arange(2, dtype=np.uint64), np.full(SHAPE, 200, np.uint8),
+        ("a note",), drips, np.arange(2, dtype=np.uint64), np.zeros(1),
     )  # fmt: skip
 
 

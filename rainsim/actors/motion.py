@@ -20,6 +20,7 @@ from rainsim.errors import ParameterError
 STILL = 1e-9  # of a pose's numbers: two that are nearer count as one pose
 REMEMBERED = 64  # times whose poses a track keeps
 COMING = 0.1  # s after the first key whose mean velocity the time before the key has
+BEFORE = 1.5  # s before its first key that an actor has moved already
 
 
 class Pose(NamedTuple):
@@ -164,18 +165,19 @@ class Track:
         about = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
         return turns.as_matrix(), angles, about
 
-    def coming(self, time):
-        """Return the `Pose` at a time [s] as `at` does; before the first key, where it came from.
+    def came(self, times):
+        """Return what `poses` does; an actor that is there from its first key on has come to it.
 
-        An actor that is there from its first key on has come as it goes on.
+        It came as it goes on, for BEFORE seconds, and was not there earlier.
         """
+        rotation, position, visible = self.poses(times)
         first = float(self.time[0])
-        if time >= first or not self.visible[0] or len(self.time) < 2:
-            return self.at(time)
-        step = min(COMING, float(self.time[1]) - first)
-        pose = self.pose(first)
-        speed = (self.pose(first + step).position - pose.position) / step
-        return pose._replace(position=pose.position + (time - first) * speed)
+        early = np.minimum(np.asarray(times) - first, 0.0)
+        if self.visible[0] and len(self.time) > 1:
+            step = min(COMING, float(self.time[1]) - first)
+            way = self.pose(first + step).position - self.pose(first).position
+            position = position + (early / step)[:, None] * way
+        return rotation, position, visible & (early >= -BEFORE)
 
     @property
     def first_seen(self):
@@ -217,9 +219,10 @@ class Motion:
         """Return the `Pose` at a time [s], whether the actor is visible or not."""
         return self._over_ground(self.actor.track.pose(time))
 
-    def coming(self, time):
-        """Return the `Pose` at a time [s] that may lie before the track, see `Track.coming`."""
-        return self._over_ground(self.actor.track.coming(time))
+    def came(self, times):
+        """Return rotations, places [m] and whether it is there at many times, see `Track.came`."""
+        rotation, position, visible = self.actor.track.came(times)
+        return self.frame.rotation @ rotation, self.frame.to_ground(position), visible
 
     def _over_ground(self, pose):
         """Return a pose in the capture frame as a pose in the ground frame; None for None."""

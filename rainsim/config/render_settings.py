@@ -181,9 +181,9 @@ class RenderConfig(Group):
         OneOf("crowns", "paper"), touches=(), paper="paper")
     spray: str = setting(
         "auto", "spray", "",
-        "auto lets tyres of cars that drive throw water, off leaves it on the road",
-        OneOf("auto", "off"), touches=(WATER,),
-        kept_for="cars that leave the water on the road (docs/actors.md)")
+        "auto draws the water that tyres of cars throw, and their tracks; off draws neither",
+        OneOf("auto", "off"), touches=(),
+        kept_for="cars without spray and tracks (docs/actors.md)")
     glare: str = setting(
         "off", "glare", "",
         "halo of lamps: off, or the eye's point spread after Spencer and others",

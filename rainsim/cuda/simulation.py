@@ -1,8 +1,8 @@
 """Twin of `rainsim.simulation`: rain on terrain over time, its water never leaving the device.
 
 A step is a recorded queue on a stream of its own: the water of drops that ended, their rings, and
-the flow; where tyres roll, two, with what they do between them. Beside it, on another, the drops
-are listed that end in the interval that follows: this frame's splashes show some of them already.
+the flow. Beside it, on another, the drops are listed that end in the interval that follows: this
+frame's splashes show some of them already.
 What draws the frame waits for both on the device; the host is not asked. Steps of the water that
 were not reached, and drops that found no room, are counted; the former go on, the latter end the
 run with an error, for their list has room for far more than ever fall.
@@ -21,19 +21,19 @@ import numpy as np
 
 from rainsim import simulation as host
 from rainsim.config.settings import mm_per_hour
-from rainsim.cuda.driver import Event, one_fault, send
+from rainsim.cuda.driver import Event, fetch, one_fault, send
 from rainsim.cuda.graph import Repeated
 from rainsim.cuda.grid import Water
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.rain.dripping import Drips, volumes
 from rainsim.cuda.rain.impact_history import RecentImpacts
+from rainsim.cuda.rain.moving_surfaces import Shelter
 from rainsim.cuda.rain.settling import VOLUME_UNIT
 from rainsim.cuda.water.ripples import Ripples
 from rainsim.cuda.water.step_control import LEFT
-from rainsim.cuda.water.tyres import NOTHING_THROWN, Traffic
 from rainsim.drops import Weather
 from rainsim.errors import DivergedError
-from rainsim.io.states import NO_DRIPS, NO_IDS, NO_TRACKS
+from rainsim.io.states import NO_DRIPS, NO_IDS
 from rainsim.rain.exposure import rain_exposure
 from rainsim.rain.moving_surfaces import FRAMES_AHEAD
 from rainsim.reflection.slope_moments import ripple_moments
@@ -101,21 +101,6 @@ class DeviceState:
         return self._there().ripples.pages[self.page]
 
     @property
-    def tracks(self):
-        """How full the film is where tyres have passed, as `SimState` has it; waits."""
-        return self.simulation.tracks(self.step)
-
-    @property
-    def throws(self):
-        """What tyres have thrown, as `SimState` has it; waits."""
-        return self.simulation.thrown(self.step)[0]
-
-    @property
-    def throw_id(self):
-        """The ids of `throws`."""
-        return self.simulation.thrown(self.step)[1]
-
-    @property
     def drip_list(self):
         """Drips in the air and just landed: a `cuda.drips.DripList`, or None without any."""
         drips = self._there().drips
@@ -177,10 +162,6 @@ class Simulation:
         self._objects = host.Objects(surfaces, start, *host.tops_of(terrain, config, start))
         host.warm_up(tile, self._objects, self.weather)
         self._objects.open_account()
-        self._traffic = None
-        if terrain.footprints:
-            self._traffic = Traffic(terrain, config, wind, exposure)
-            self._traffic.tyres.start(solver, self.weather)
         self.water = Water(solver, exposure, stream=stream)
         self.ripples = Ripples(tile, interval, cuda.stream(), self._ringing(tile.size))
         send(self.ripples.moments, ripple_moments(tile.slopes()))
@@ -194,10 +175,11 @@ class Simulation:
                 self._objects.drips, self.impacts, rate, interval, config.rain.roughness,
                 stream,
             )  # fmt: skip
-        if self._traffic is not None:
-            self._traffic.roll_over(self.water, self.impacts)
+        self._shelter = None
+        if terrain.footprints:
+            self._shelter = Shelter(terrain, wind, exposure, self.water, self.impacts)
         self._ready, self._drawn = Event(), (Event(), Event())  # a step; what draws either page
-        self._queues, self._accounts = {}, [None] * ACCOUNTS  # parts of a step by name and page
+        self._queues, self._accounts = {}, [None] * ACCOUNTS  # steps by page
         self._index = self._begun = self._complete = self._late = -1
         self._fallen = 0.0  # m of rain since the start
         self.is_shown = False
@@ -244,9 +226,9 @@ class Simulation:
             self._begin(step)
 
     def _begin(self, index):
-        if index > 0 and self._traffic is not None:
+        if index > 0 and self._shelter is not None:
             self.complete()
-            self._traffic.thin_rain()
+            self._shelter.thin_rain()
             self.ripples.let_ring(self._ringing(self.ripples.tile.size))
         if index > 0:
             self._bring(*self._interval(index))
@@ -261,29 +243,19 @@ class Simulation:
             if self.impacts is not None:
                 self.impacts.listed.wait(stream)
             self._drawn[page].wait(stream)
-            if self._traffic is None:
-                self._run(index, "step", self.launch)
-            else:
-                self._run(index, "land", self._land)
-                self._traffic.roll(index, *self._interval(index), self.weather)
-                self._run(index, "flow", self._flow)
+            if page not in self._queues:
+                self._queues[page] = Repeated(stream, self.launch)
+            self._queues[page].launch()
         self._ready.record(stream)
         if self.impacts is None:
             return
-        if self._traffic is not None:
+        if self._shelter is not None:
             self.impacts.listed.synchronize()
             coming = range(index + 1, index + 2 + FRAMES_AHEAD)
             middles = (0.5 * sum(self._interval(n)) for n in coming)
-            self._traffic.cover(*middles)
+            self._shelter.cover(*middles)
         self._drawn[page].wait(self.impacts.stream)  # the last frame that sees what it overwrites
         self.impacts.list_beside()
-
-    def _run(self, index, name, queue):
-        """Queue a part of a step; the parts of each page are recorded."""
-        key = name, index % 2
-        if key not in self._queues:
-            self._queues[key] = Repeated(self.water.stream, queue)
-        self._queues[key].launch()
 
     def complete(self):
         """Wait for the step that has begun, and let it go on if it was not at its end.
@@ -314,45 +286,14 @@ class Simulation:
             control = account.seen.copy()
         fallen = 0 if self.impacts is None else int(self.impacts.fallen[0])
         drips = None if self.drips is None else self.drips.account.copy()
-        tyres = None
-        if self._traffic is not None:
-            self._traffic.look(index % 2)
-            tyres = copy.copy(self._traffic.tyres)
-        self._accounts[index % ACCOUNTS] = control, fallen, drips, self._objects.inflow, tyres
+        self._accounts[index % ACCOUNTS] = control, fallen, drips, self._objects.inflow
 
-    def thrown(self, index):
-        """Return throws and their ids of a step, at the earliest the last but one."""
-        if self._traffic is None:
-            return NOTHING_THROWN
-        self._await(index)
-        return self._traffic.thrown[index % 2]
-
-    def tracks(self, index):
-        """Return the tracks of a step on the host, at the earliest the last but one; waits."""
-        if self._traffic is None:
-            return NO_TRACKS
-        self._await(index)
-        return self._traffic.tracks_of(index)
-
-    def _await(self, index):
-        """Begin a step, unless it has begun, and wait for it."""
+    def host_depth(self, index):
+        """Return the depth [m] of a step on the host, at the earliest the last but one; waits."""
         self.begin(index)
         if index == self._begun:
             self.complete()
-
-    def thin_film(self, index, film, ground_out, stream):
-        """Queue the thinning of the film under a step's tracks, at the earliest the last but one's.
-
-        See `water.tracks.thin_film`; nobody waits.
-        """
-        self.begin(index)
-        self.before(stream, falls=False)
-        self._traffic.thin_film(index, film, ground_out, stream)
-
-    @property
-    def has_tyres(self):
-        """Whether tyres leave tracks."""
-        return self._traffic is not None and self._traffic.tracks is not None
+        return fetch(self.water.depths[index % 2], self.water.stream)
 
     def _bring(self, before, time):
         """Set the rain that falls between two times."""
@@ -364,12 +305,10 @@ class Simulation:
             self.drips.update(before, time, wind, finer * (time - before))
 
     def launch(self):
-        """Queue a step without tyres. Nothing here waits, allocates or reads results."""
-        self._land()
-        self._flow()
+        """Queue a step: the water of the drops that ended, their rings, the flow and the account.
 
-    def _land(self):
-        """Queue the water of the drops that ended, and their rings."""
+        Nothing here waits, allocates or reads results.
+        """
         land = self.water, self.ripples, self.water.stream
         self.ripples.send(self.water.stream)
         if self.drips is not None:
@@ -378,9 +317,6 @@ class Simulation:
             self.drips.launch(page, *land)
         elif self.impacts is not None:
             self.impacts.settle(*land)
-
-    def _flow(self):
-        """Queue the flow and the account, rings beside them."""
         self.ripples.fork(self.water.stream)
         self.water.launch()
         self.water.account.copy()
@@ -421,7 +357,7 @@ class Simulation:
         """
         if index == self._begun:
             self.complete()
-        control, fallen, drips, inflow, tyres = self._accounts[index % ACCOUNTS]
+        control, fallen, drips, inflow = self._accounts[index % ACCOUNTS]
         came = fallen * VOLUME_UNIT
         returned, held, airborne = 0.0, came + self._objects.initial, 0.0
         if drips is not None:
@@ -429,10 +365,7 @@ class Simulation:
             came += fine
         ledger = self.water.account.ledger(control)
         own = came, returned, held, airborne, inflow
-        ledger = self._objects.with_objects(ledger, *own)
-        if tyres is not None:
-            ledger = tyres.book(ledger, index / self.config.fps)
-        return ledger.as_dict()
+        return self._objects.with_objects(ledger, *own).as_dict()
 
 
 def simulate(terrain, config):

@@ -15,16 +15,7 @@ from rainsim.ledger import SUPPLY, WHEREABOUTS
 
 # in m, s and m/s; the wind is that at half the height of the fall
 DRIP_COLUMNS = ("x", "y", "top", "bottom", "diameter", "begin", "end", "wind_x", "wind_y")
-# of a row of a table of throws, see `rainsim.rain.throws`
-THROW_COLUMNS = (
-    "begin", "end", "x", "y", "z", "x_end", "y_end", "out_x", "out_y", "width", "radius",
-    "covered", "car", "wind_x", "wind_y", "section", "depth", "bow", "side", "tread", "film",
-    "mist",
-)  # fmt: skip
-AT = {name: k for k, name in enumerate(THROW_COLUMNS)}
 NO_DRIPS = np.zeros((0, len(DRIP_COLUMNS)))
-NO_THROWS = np.zeros((0, len(THROW_COLUMNS)))
-NO_TRACKS = np.zeros((0, 0), np.uint8)
 NO_IDS = np.zeros(0, np.uint64)
 
 
@@ -56,12 +47,6 @@ class SimState:
     drip_id : ndarray of shape (m,), uint64
     top_water : ndarray of shape (n,), float64 [m3]
         On each of the terrain's tops, see `water.top_water`.
-    throws : ndarray of shape (t, 22), float64
-        What tyres have thrown that may be in the air, see `THROW_COLUMNS`.
-    throw_id : ndarray of shape (t,), uint64
-    tracks : ndarray of shape (ny, nx) or (0, 0), uint8
-        How full the film is where tyres have passed, of 255; see `Tyres.tracks`. Of a window
-        over all that lies around it.
     """
 
     index: int
@@ -78,9 +63,6 @@ class SimState:
     drips: np.ndarray = field(default_factory=NO_DRIPS.copy)
     drip_id: np.ndarray = field(default_factory=NO_IDS.copy)
     top_water: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    throws: np.ndarray = field(default_factory=NO_THROWS.copy)
-    throw_id: np.ndarray = field(default_factory=NO_IDS.copy)
-    tracks: np.ndarray = field(default_factory=NO_TRACKS.copy)
 
     def shown_by(self, index):
         """Return this state as the one that the frame `index` shows."""
@@ -105,9 +87,6 @@ _FIELDS = {
     "drips": Field("float64", ("drips", len(DRIP_COLUMNS)), -LONGEST, LONGEST),
     "drip_id": Field("uint64", ("drips",), 0, 2**64 - 1),
     "top_water": Field("float64", ("tops",), 0, 1e9),
-    "throws": Field("float64", ("throws", len(THROW_COLUMNS)), -LONGEST, LONGEST),
-    "throw_id": Field("uint64", ("throws",), 0, 2**64 - 1),
-    "tracks": Field("uint8", ("tracks ny", "tracks nx"), 0, 255),
 }
 _OTHERS = {
     "index": Field("int64", (), 0, 99_999),
@@ -155,9 +134,6 @@ def read_state(path, terrain=None):
          "it is not of this height map, whose shape is another"),
         (terrain is not None and len(found["top_water"]) not in (0, tops),
          "it is not of this height map, which has other tops"),
-        (found["tracks"].shape not in ((0, 0), found["depth"].shape),
-         "its tracks are those of another height map"),
-        (not _are_thrown(found["throws"]), "its tyres do not roll"),
     ):  # fmt: skip
         if wrong:
             raise InputError(f"{path} is no {STATE} of rainsim ({text}); {STATE_REMEDY}")
@@ -176,14 +152,6 @@ def _are_volumes(ledger):
 
 def _are_texts(notes):
     return isinstance(notes, list) and all(isinstance(note, str) for note in notes)
-
-
-def _are_thrown(table):
-    """Whether the rows of a table of throws have a duration, a way and no negative volumes."""
-    lasts = table[:, AT["end"]] > table[:, AT["begin"]]
-    rolls = (table[:, AT["x"] : AT["y"] + 1] != table[:, AT["x_end"] : AT["y_end"] + 1]).any(axis=1)
-    sizes = table[:, [AT["width"], AT["radius"], *range(AT["section"], len(THROW_COLUMNS))]]
-    return bool((lasts & rolls & (sizes >= 0).all(axis=1)).all())
 
 
 def _fall(drips):

@@ -13,11 +13,11 @@ import numpy as np
 
 from rainsim.actors.footprint import with_footprints
 from rainsim.drops import Weather
-from rainsim.io.states import NO_TRACKS
 from rainsim.jit import may_run_beside
 from rainsim.particles import drop_radiance
 from rainsim.particles.splash import LONGEST_LIFE
 from rainsim.rain.moving_surfaces import MovingSurfaces, begun
+from rainsim.rain.tyres import cars_of, rolled
 from rainsim.raster import Rasterizer
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.water_pass import WaterTables
@@ -37,6 +37,7 @@ from rainsim.shading.calibration import (
 from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import tops_drawn, usual_wind
 from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings, taller_rings
+from rainsim.water.tracks import NO_TRACKS, tracks_of
 
 # What is chosen before the first frame, and again when settings that it reads have changed.
 SET_UP = (
@@ -102,6 +103,8 @@ class Conductor:
         Of the ground camera, as kernels take it.
     sheltered : list of tuple of slice
         Windows of the map in which actors keep rings off in the last frame.
+    cars : list of Motion
+        What has tyres that throw water.
     brightness : float
         Factor on the finished picture: that of the settings times the meter's.
     notes : list of str
@@ -114,6 +117,7 @@ class Conductor:
         self._common_rings, self.sheltered = None, []
         self._ringed = None, None  # shelters, and the rings that were last found for them
         terrain = with_footprints(tops_drawn(terrain, config), scene)
+        self.cars = cars_of(terrain.footprints, config.render)
         self._first_camera = fixed_camera(scene, terrain, config) or first_camera
         self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
         light = self.wet_scene.sky
@@ -180,7 +184,17 @@ class Conductor:
         put("water", state.depth)
         put("ripples", (state.slopes, state.tile_size))
         put("drips", (state.drips, state.drip_id))
-        put("throws", (state.throws, state.throw_id))
+
+    def roll(self, time, depth):
+        """Put where tyres have rolled until a time [s] over water of a depth [m]; before `take`."""
+        rolls, tracks = None, NO_TRACKS
+        if self.cars:
+            self.set_time(time)
+            terrain, film = self.ground.terrain, self.wet_scene.ground.full_film
+            rolls = rolled(self.cars, terrain, depth, film, time, self.weather, self.now.rain)
+            tracks = tracks_of(rolls, terrain, depth, time, self.now.rain.rate)
+        self.frame.put("rolls", rolls)
+        self.wet_scene.take_tracks(tracks)
 
     def field(self, time):
         """Return the drops whose streaks or splashes a frame shows, a RainField; None: no rain."""
@@ -259,6 +273,7 @@ class Conductor:
         until a renderer with those is made, pictures are an approximation.
         """
         self.config, self.weather, self._lit_for = config, Weather(config), None
+        self.cars = cars_of(self.ground.terrain.footprints, config.render)
         self.take_methods(config.render)
         put, rain, render = self._set_up.put, self.weather.mean_rate, config.render
         put("terrain", self.ground.terrain)

@@ -52,24 +52,24 @@ def near_alpha(depth, ground_camera, ground_camera_end, time, render, field, sur
     return alpha
 
 
-def spray_alpha(depth, ground_camera, ground_camera_end, time, render, field, throws):
+def spray_alpha(depth, ground_camera, ground_camera_end, time, render, field, rolls):
     """Return the share of light that what tyres throw replaces, drops and clouds."""
     alpha = np.zeros(depth.shape, np.float32)
-    drops, clouds = _spray(ground_camera, time, render, field, throws)
+    drops, clouds = _spray(ground_camera, time, render, field, rolls)
     draw_spray(drops, depth, ground_camera, ground_camera_end, time, render, alpha)
     lay_clouds(clouds, ground_camera, depth, alpha)
     return alpha
 
 
-def _spray(ground_camera, time, render, field, throws):
+def _spray(ground_camera, time, render, field, rolls):
     """Return drops and clouds of spray as the picture has them: lines of the paper draw no drop."""
-    drops, clouds = spray_seen(*throws, ground_camera, time, render.exposure)
+    drops, clouds = spray_seen(rolls, ground_camera, time, render.exposure)
     return drops[:0] if field is not None and render.streaks == "paper" else drops, clouds
 
 
-def find_falling(ground_camera, ground_camera_end, time, render, field, drips, throws):
+def find_falling(ground_camera, ground_camera_end, time, render, field, drips, rolls):
     """Return what a picture draws that falls, `Falling`, and some drops around it."""
-    spray, clouds = _spray(ground_camera, time, render, field, throws)
+    spray, clouds = _spray(ground_camera, time, render, field, rolls)
     if field is None:
         return Falling(spray, spray[:0], spray[:0], clouds)
     far = np.full(len(field.velocity), render.streak_far)

@@ -15,7 +15,7 @@ from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.rain.dripping import drip_impacts, drips_seen
 
 
-def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips, throws):
+def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips, rolls):
     """Return the share of light that falling drops replace, and the fog of those not drawn.
 
     Parameters
@@ -31,8 +31,8 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
         None without rain.
     surfaces : Surfaces
         What drops land on.
-    drips, throws : tuple
-        Drips in the air and what tyres throw, each with its numbers.
+    drips, rolls
+        Drips in the air with their numbers; the `Rolls` of tyres or None.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
         See `fog_table`.
     """
     alpha = np.zeros(depth.shape, np.float32)
-    drops, clouds = spray_seen(*throws, camera, time, render.exposure)
+    drops, clouds = spray_seen(rolls, camera, time, render.exposure)
     lens = camera_end, render.aperture, render.focus
     if field is None:  # tyres on a wet road throw water while no rain falls
         draw_spray(drops, depth, camera, camera_end, time, render, alpha)

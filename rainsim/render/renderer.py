@@ -86,7 +86,7 @@ class Renderer:
             Its `mark` is called between the stages. If it raises, the picture is given up.
         """
         timer, conductor = timer or Timer(), self.conductor
-        conductor.wet_scene.take_tracks(state.tracks)
+        conductor.roll(state.time, state.depth)
         conductor.take(camera, state, camera_end)
         conductor.take_water(state)
         before = self.frame["image"] if "image" in self.frame else None

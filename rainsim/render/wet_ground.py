@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from rainsim.io.states import NO_TRACKS
 from rainsim.shading import wetness
 from rainsim.shading.bodies import BodyMap
 from rainsim.shading.surface_point import GroundMaps
+from rainsim.water.tracks import NO_TRACKS
 
 
 class TrackedMap(NamedTuple):
@@ -27,11 +27,6 @@ class TrackedMap(NamedTuple):
     untouched: np.ndarray
     map: np.ndarray
     rows: slice
-
-    def restored(self):
-        """Return the array `map` with the numbers of `untouched`."""
-        self.map[self.rows] = self.untouched[self.rows]
-        return self.map
 
 
 class WetGround:
@@ -59,7 +54,7 @@ class WetGround:
         self.terrain, self.reach, self.grass = terrain, reach, blurred_grass(terrain)
         self.tracked = self.bodies = None
         self.thickest_layer = terrain.layer.max(initial=np.float32(0))
-        self._tracks, self._copies = NO_TRACKS, []
+        self._tracks = NO_TRACKS
 
     def stand(self, actors):
         """Find the smooth bodies that stand on the ground, and where `actors` (or None) are."""
@@ -67,16 +62,10 @@ class WetGround:
 
     def wet(self, now):
         """Find how wet the ground is at the settings of one time."""
-        self._copies = []
         self._lay_tracks(wetness.ground_wetness(self.terrain, self.grass, self.reach, now))
 
     def take_tracks(self, tracks):
-        """Take over where tyres have thinned the film, see `Tyres.tracks`; return if that is new.
-
-        Parameters
-        ----------
-        tracks : ndarray of shape (ny, nx) or (0, 0), uint8
-        """
+        """Take over where tyres have thinned the film, see `tracks_of`; return if that is new."""
         if tracks is self._tracks or np.array_equal(tracks, self._tracks):
             return False
         self._tracks = tracks
@@ -84,18 +73,22 @@ class WetGround:
         return True
 
     def _lay_tracks(self, untouched):
-        """Lay the tracks on a copy of the map; there are two, so that the last one stays."""
-        if not self._tracks.size:
-            self.tracked = TrackedMap(untouched, untouched, slice(0, 0))
-            return
-        ground = untouched.copy() if len(self._copies) < 2 else self._copies.pop(0).restored()
-        self.tracked = TrackedMap(untouched, ground, wetness.thin_film(ground, self._tracks))
-        self._copies.append(self.tracked)
+        """Lay the tracks on a copy of the map, so that the last one stays."""
+        ground, rows = untouched, slice(0, 0)
+        if self._tracks.size:
+            ground = untouched.copy()
+            rows = wetness.thin_film(ground, self._tracks)
+        self.tracked = TrackedMap(untouched, ground, rows)
 
     @property
     def map(self):
         """How wet each cell is, see `TrackedMap.map`; None until `wet` is called."""
         return None if self.tracked is None else self.tracked.map
+
+    @property
+    def full_film(self):
+        """How full the film of each cell is (ny, nx) where no tyre has rolled, 0 to 1."""
+        return self.tracked.untouched[..., wetness.Wetness._fields.index("film")]
 
     @property
     def maps(self):

@@ -128,7 +128,7 @@ class Windows:
             trim()
             check()
         part = part_of(around, station.window)
-        states = simulate(part, config, begin=begin.within(station.window, around))
+        states = simulate(part, config, begin=begin.within(station.window))
         del begin
         state = next(states)
         while state.index < moment:

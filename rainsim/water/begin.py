@@ -7,26 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Around(NamedTuple):
-    """The surroundings of a window of the ground, the window itself included.
-
-    Attributes
-    ----------
-    terrain : Terrain
-    window : tuple of slice
-        Its rows and columns.
-    depth : ndarray of shape (ny, nx), float32 [m]
-        Of the water at the start.
-    exposure : ndarray of shape (ny, nx), float32
-        Share of the rain that reaches the ground.
-    """
-
-    terrain: object
-    window: tuple
-    depth: np.ndarray
-    exposure: np.ndarray
-
-
 class Begin(NamedTuple):
     """Where the water of a window of the ground begins, see `simulation.steady_water`.
 
@@ -39,8 +19,6 @@ class Begin(NamedTuple):
     notes : tuple of str
     exposure : ndarray of shape (ny, nx), float32
         Share of the rain that reaches the ground.
-    around : Around or None
-        Of a part, if cars drive there.
     """
 
     number: int
@@ -48,19 +26,11 @@ class Begin(NamedTuple):
     velocity: np.ndarray
     notes: tuple
     exposure: np.ndarray
-    around: Around | None = None
 
-    def within(self, window, terrain=None):
-        """Return the part of this start within a window (slices of rows and columns).
-
-        `terrain` is that of the whole; without it no car drives in the part.
-        """
-        around = None
-        if terrain is not None and terrain.footprints:
-            depth = self.depth.astype(np.float32)
-            around = Around(terrain, window, depth, self.exposure)
+    def within(self, window):
+        """Return the part of this start within a window (slices of rows and columns)."""
         return self._replace(  # copied: the whole need not stay in memory
-            around=around, depth=self.depth[window].copy(), exposure=self.exposure[window].copy(),
+            depth=self.depth[window].copy(), exposure=self.exposure[window].copy(),
             velocity=self.velocity[(slice(None), *window)].copy(),
         )  # fmt: skip
 

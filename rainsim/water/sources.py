@@ -106,15 +106,6 @@ class Sources:
         )
         return taken * self._area
 
-    def lift(self, rows, columns, left):
-        """Take the water of cells down to a depth of `left` [m]; return the volume taken [m3]."""
-        flow, water, film = self._flow, self._flow.water, self.film
-        at = np.asarray(rows) + flow.pad, np.asarray(columns) + flow.pad
-        water.h[at], water.remainder[at], film[at], taken = lift_cells(
-            water.h[at], water.remainder[at], film[at], left, self._area, DRY_DEPTH
-        )
-        return taken
-
 
 @device_function
 def infiltrate_and_fill(free, film, demand, store):
@@ -151,35 +142,6 @@ def drain_cells(h, remainder, depth, dry):
     h = np.where(stays >= dry, stays, 0.0).astype(h.dtype)
     remainder = (stays - h).astype(remainder.dtype)
     return h, remainder, float((free - (h.astype(np.float64) + remainder)).sum())
-
-
-def lift_cells(h, remainder, film, left, area, dry):
-    """Take the water of some cells down to a depth of `left` [m], the film's last.
-
-    Parameters
-    ----------
-    h, remainder, film : ndarray of shape (n,) [m]
-        Flowing depth of the cells, its remainder and what is held back.
-    left : float [m]
-    area : float [m2]
-        Of a cell.
-    dry : float [m]
-        Water less deep is all remainder.
-
-    Returns
-    -------
-    h, remainder, film : ndarray of shape (n,) [m]
-        What the cells keep.
-    taken : float [m3]
-        Summed over the cells.
-    """
-    held = film.astype(np.float64)
-    keeps = np.minimum(held, left)
-    free = h.astype(np.float64) + remainder
-    from_free = np.maximum(free - (left - keeps), 0.0) * area
-    h, remainder, taken = drain_cells(h, remainder, from_free / area, dry)
-    film = keeps.astype(film.dtype)
-    return h, remainder, film, taken * area + float((held - film.astype(np.float64)).sum()) * area
 
 
 @cpu_kernel

@@ -1,4 +1,4 @@
-"""How full the film of a road is where tyres have passed."""
+"""How full the film of a road is where tyres have rolled."""
 
 from __future__ import annotations
 
@@ -6,74 +6,64 @@ import math
 
 import numpy as np
 
-from rainsim.jit import cpu_kernel, inlined_function, prange
+from rainsim.jit import serial_kernel
+from rainsim.rain.tyres import REMEMBERED, TICK
 
-REACH = 4  # deviations, after which the blur ends
-
-
-def blur_weights(deviation):
-    """Return the weights of a Gaussian of a deviation [cells], ndarray (n,), the middle first."""
-    cells = np.arange(math.ceil(REACH * deviation) + 1)
-    weights = np.exp(-0.5 / deviation**2 * cells**2)
-    return weights / (weights[0] + 2 * weights[1:].sum())
+NO_TRACKS = np.zeros((0, 0), np.uint8)
+FULL = 255
+USUAL_FILM = 2e-4  # m, that rain has to fill before a track is gone; an assumption
+KEPT = 0.1  # share of the film that stays in the road's texture under a tyre; an assumption
+DEEP = 1.5e-3  # m: water that stands so deep closes behind a tyre at once
 
 
-@inlined_function
-def mirrored(k, n):
-    """Return the cell of a row of n that a cell k beside it repeats: b a | a b c d | d c."""
-    while k < 0 or k >= n:
-        k = -1 - k if k < 0 else 2 * n - 1 - k
-    return k
+def tracks_of(rolls, terrain, depth, time, rain):
+    """Return how full the film is where tyres have rolled, uint8 (ny, nx) of FULL.
+
+    Where none has it is FULL; of shape (0, 0) where none has at all. The water has a `depth`
+    (ny, nx) [m] at a time [s]; `rain` [m/s] fills the tracks, which last `REMEMBERED` at most.
+    """
+    lasts = min(REMEMBERED, USUAL_FILM / max(rain, 1e-12))
+    age = time - rolls.tick * TICK
+    rolls, age = rolls.take(age < lasts), age[age < lasts]
+    if not len(age):
+        return NO_TRACKS
+    grid = terrain.grid
+    half = 0.5 * np.maximum(rolls.width, grid.spacing)
+    fresh = 1 - age / lasts
+    ways = np.column_stack([
+        (rolls.begin[:, :2] - grid.origin) / grid.spacing, rolls.way / grid.spacing,
+        half / grid.spacing, fresh, np.full(len(age), TICK / lasts),
+    ])  # fmt: skip
+    worn = np.zeros(grid.shape, np.float32)
+    wear(ways, worn)
+    worn *= depth < DEEP
+    tracks = np.rint(FULL * (1 - (1 - KEPT) * worn)).astype(np.uint8)
+    return tracks
 
 
-@cpu_kernel
-def lay_tracks(depth, passed, classes, holds, least, weights, tracks_out):
-    """Write how full the film is, of 255, its edges blurred; 255 where no tyre has passed.
+@serial_kernel
+def wear(ways, worn_out):
+    """Raise how fresh tracks are to that of each way, their edges softened over a cell.
 
     Parameters
     ----------
-    depth : ndarray of shape (ny, nx) [m]
-        Of the water.
-    passed : ndarray of shape (ny, nx), bool
-    classes : ndarray of shape (ny, nx)
-        Ground classes.
-    holds : ndarray of shape (classes,), float32 [m]
-        Depth of a full film on each.
-    least : float32 [m]
-        Such a depth at least.
-    weights : ndarray of shape (n,), float64
-        See `blur_weights`.
-    tracks_out : ndarray of shape (ny, nx), uint8
+    ways : ndarray of shape (n, 7), float64
+        Place, way (both x, y) and half the width, in cells; freshness at the begin, from 0 to 1;
+        by how much it is more at the end. What is fresher than 1 is still to come.
+    worn_out : ndarray of shape (ny, nx), float32
     """
-    (ny, nx), reach = depth.shape, len(weights) - 1
-    share, touched = np.empty((ny, nx), np.float32), np.zeros(ny, np.bool_)
-    for j in prange(ny):
-        for i in range(nx):
-            share[j, i] = 1
-            if passed[j, i]:
-                full = depth[j, i] / max(holds[classes[j, i]], least)
-                share[j, i] = min(max(full, 0), 1)
-                touched[j] = True
-    for j in prange(ny):
-        if not touched[max(j - reach, 0) : j + reach + 1].any():
-            tracks_out[j] = 255
-            continue
-        total, line = np.empty(nx), np.empty(nx + 2 * reach)
-        for i in range(nx):
-            total[i] = weights[0] * share[j, i]
-        for k in range(reach, 0, -1):
-            before, after = share[mirrored(j - k, ny)], share[mirrored(j + k, ny)]
-            for i in range(nx):
-                total[i] += weights[k] * (np.float64(before[i]) + np.float64(after[i]))
-        for i in range(nx):
-            line[reach + i] = np.float32(total[i])
-        for k in range(reach):
-            line[k] = line[reach + mirrored(k - reach, nx)]
-            line[reach + nx + k] = line[reach + mirrored(nx + k, nx)]
-        for i in range(nx):
-            total[i] = weights[0] * line[reach + i]
-        for k in range(reach, 0, -1):
-            for i in range(nx):
-                total[i] += weights[k] * (line[reach + i - k] + line[reach + i + k])
-        for i in range(nx):
-            tracks_out[j, i] = np.uint8(np.rint(np.float32(255) * np.float32(total[i])))
+    ny, nx = worn_out.shape
+    for n in range(len(ways)):
+        x, y, way_x, way_y, half, fresh, more = ways[n]
+        length, reach = math.hypot(way_x, way_y), half + 1
+        left, right = math.floor(x + min(way_x, 0) - reach), math.ceil(x + max(way_x, 0) + reach)
+        low, high = math.floor(y + min(way_y, 0) - reach), math.ceil(y + max(way_y, 0) + reach)
+        for j in range(max(low, 0), min(high, ny)):
+            for i in range(max(left, 0), min(right, nx)):
+                off_x, off_y = i + 0.5 - x, j + 0.5 - y
+                along = (off_x * way_x + off_y * way_y) / (length * length)
+                aside = abs(off_y * way_x - off_x * way_y) / length
+                now = fresh + along * more
+                if 0 <= along < 1 and aside < reach and now <= 1:
+                    cover = min(max(half + 0.5 - aside, 0.0), 1.0)
+                    worn_out[j, i] = max(worn_out[j, i], np.float32(cover * now))

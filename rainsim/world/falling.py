@@ -27,7 +27,6 @@ from rainsim.particles.splash import (
     splashes_on,
 )
 from rainsim.particles.splash_pass import FARTHEST, MARGIN
-from rainsim.particles.spray import spray_seen
 from rainsim.particles.streaks import streak_reach
 from rainsim.rain.dripping import drip_impacts, drips_seen
 from rainsim.rain.heightfield import GROUND, first_hit
@@ -71,15 +70,14 @@ def falling_at(state, field, surfaces, camera, render, film):
     film : float [m]
         Water on what is not the ground, see `splash_pass.draw_splashes`.
     """
-    spray, _ = spray_seen(state.throws, state.throw_id, camera, state.time, render.exposure)
     if field is None:
         none = np.zeros((0, COLUMNS))
-        return Falling(spray, none, none)
+        return Falling(none, none, none)
     drips = drips_seen(state.drips, state.time, MOMENT)
     drips = drips[_in_view(camera, drips[:, :3])]
     drops = _drops(state.time, field, surfaces, camera, render)
     droplets, crowns = _splashes(state, field, surfaces, camera, render, film)
-    return Falling(np.concatenate([drops, drips, spray]), droplets, crowns)
+    return Falling(np.concatenate([drops, drips]), droplets, crowns)
 
 
 def _in_view(camera, place, margin=BESIDE):

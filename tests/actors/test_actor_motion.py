@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rainsim.actors.actor import Actor
-from rainsim.actors.motion import Motion, Track
+from rainsim.actors.motion import BEFORE, Motion, Track
 from rainsim.scene.types import GroundFrame
 
 BOX = np.array([[1.0, 0.0, 0.5], [4.0, 2.0, 1.0]])
@@ -38,16 +38,19 @@ def test_poses_over_the_ground_are_those_of_the_capture_taken_there(motion, fram
 
 
 def test_an_actor_that_is_away_has_a_pose_and_is_not_there(motion):
-    assert motion.at(3.5) is None and motion.coming(3.5) is None
+    assert motion.at(3.5) is None and not motion.came([3.5])[2].any()
     np.testing.assert_array_equal(motion.pose(3.5).position, motion.pose(3.0).position)
 
 
 def test_before_its_track_an_actor_comes_as_it_goes_on(motion):
-    a, b, c = (motion.coming(time).position for time in (0.0, 0.5, 1.0))
+    times = np.array([1 - BEFORE - 0.1, 0.0, 0.5, 1.0, 1.5])
+    rotation, (_, a, b, c, d), there = motion.came(times)
     np.testing.assert_allclose(c - b, b - a, atol=1e-12)
     first = motion.pose(1.1).position - motion.pose(1.0).position
     np.testing.assert_allclose(c - b, 5 * first, atol=1e-12)
-    np.testing.assert_array_equal(motion.coming(1.5).position, motion.at(1.5).position)
+    np.testing.assert_allclose(d, motion.at(1.5).position, atol=1e-12)
+    np.testing.assert_allclose(rotation[-1], motion.at(1.5).rotation, atol=1e-12)
+    assert there.tolist() == [False, True, True, True, True]
     np.testing.assert_array_equal(motion.at(0.0).position, motion.at(1.0).position)
 
 

@@ -129,7 +129,7 @@ def test_what_a_recorded_queue_holds_changes_as_the_drips_are_sent():
     """Not before: the frame before may be recorded once more until then."""
     rain, marks = RainPass.__new__(RainPass), []
     rain.splashes = rain.drips = None
-    rain.streaks = SimpleNamespace(version=1, spray=None, drips=None)
+    rain.streaks = SimpleNamespace(version=1, drips=None)
     for count in (3, 5, 9, 4):
         state = SimpleNamespace(
             drips=np.ones((count, 9)), drip_id=np.arange(count, dtype=np.uint64)

@@ -9,7 +9,7 @@ from rainsim.cuda.particles.streaks import Streaks
 from rainsim.drops import RainField, RainSpectrum, Surfaces
 from rainsim.errors import ParameterError
 from rainsim.particles.line_raster import NEAR
-from rainsim.particles.spray import Flocks, lay_clouds, scattered
+from rainsim.particles.spray import lay_clouds
 from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.throws import Puffs
 from rainsim.scene.types import Camera
@@ -61,21 +61,14 @@ def test_a_picture_is_that_of_the_cpu(poisoned, monkeypatch, room):
     assert np.abs(twin.alpha.copy_to_host() - wanted).max() > 0.1
 
 
-def test_spray_is_that_of_the_cpu(monkeypatch, poisoned):
-    """Drops that are drawn and clouds, more of them than there was room for; then none."""
-    monkeypatch.setattr(spray, "ROOM", 2)
+def test_spray_is_that_of_the_cpu(poisoned):
+    """Drops that are drawn and clouds; then none."""
     camera, time, exposure = looking_ahead((0.0, 0.0, 0.0)), 3.0, 1 / 1000
     depth = np.full((HEIGHT, WIDTH), np.inf, np.float32)
     depth[:, :12] = 2.0
     rng = np.random.default_rng(2)
     place = rng.uniform((0.4, -0.05, -0.05), (3.0, 0.05, 0.05), (16, 3))
-    velocity = np.tile((0.3, 0.2, -3.0), (16, 1))
-    flocks = Flocks(
-        place, velocity, np.full(16, 0.02), np.full(16, 2e-3), np.full(16, -0.03),
-        rng.integers(0, 2**63, 16).astype(np.uint64), np.arange(16) % 4,
-    )  # fmt: skip
-    drops = scattered(flocks)
-    assert 5 < len(drops) < flocks.count.sum()  # some are in the road
+    drops = np.column_stack([place, np.tile((0.3, 0.2, -3.0, 2e-3), (16, 1))])
     puffs = Puffs(rng.uniform((0.1, -0.2, -0.1), (3.0, 0.2, 0.1), (9, 3)),
                   rng.uniform(0.02, 0.3, 9), np.full(9, 2e-3))  # fmt: skip
     none, wanted = RainField(RainSpectrum(0.0)), poisoned((HEIGHT, WIDTH))
@@ -86,13 +79,12 @@ def test_spray_is_that_of_the_cpu(monkeypatch, poisoned):
     assert (wanted > before + 0.01).mean() > 0.2
     twin = Streaks(none, roofed(), WIDTH, HEIGHT, depth)
     twin.spray = spray.Spray()
-    assert twin.spray.room == (2, 2)
     twin.update(none, camera, time, exposure, NEAR)
     for _ in range(2):
-        twin.spray.send(flocks, puffs, camera)
+        twin.spray.send(drops, puffs, camera)
         twin.launch()
         np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=2e-4)
-    twin.spray.send(None, Puffs(*(part[:0] for part in puffs)), camera)
+    twin.spray.send(drops[:0], Puffs(*(part[:0] for part in puffs)), camera)
     twin.launch()
     assert (twin.alpha.copy_to_host() == 0).all()
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rainsim.config.settings import Config
-from rainsim.io.states import NO_TRACKS
 from rainsim.render.wet_ground import WetGround
 from rainsim.shading import wetness
 from rainsim.simulation import initial_water
@@ -14,6 +13,7 @@ from rainsim.terrain import extract_terrain
 from rainsim.terrain.table import GRASS, HARD, SOIL, class_table
 from rainsim.terrain.types import NO_LAYER
 from rainsim.water.puddles import puddles_of
+from rainsim.water.tracks import NO_TRACKS
 from scenes import tiny_scene
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from rainsim.cuda.driver import Staging
 from rainsim.cuda.drops import sent_surfaces
 from rainsim.cuda.moving_map import MovingMap
+from rainsim.jit import may_run_beside
+from rainsim.rain.moving_surfaces import MovingSurfaces
 
 ABOVE = 0.01  # m; lines are followed from this far above all that moves
 FIELDS = ("top", "underside")
@@ -52,3 +54,52 @@ class MovingHeights:
             for name in BLOCKS:
                 self._staging.send(getattr(self.fields, name), getattr(found, name))
         self._there = surfaces
+
+
+class Shelter:
+    """What moves over the water of a device keeps the rain off it.
+
+    Parameters
+    ----------
+    terrain : Terrain
+        With footprints.
+    wind : tuple
+        As `MovingSurfaces` takes it, and the roughness.
+    exposure : ndarray of shape (ny, nx), float32
+        Share of the rain that reaches the ground, without what moves.
+    water : rainsim.cuda.grid.Water
+    impacts : RecentImpacts or None
+        The drops that are listed there, if it rains.
+    """
+
+    def __init__(self, terrain, wind, exposure, water, impacts):
+        self._moving, self._water, self._heights = MovingSurfaces(terrain, *wind), water, None
+        self._exposure, self._shelters, self._opened = exposure, [], exposure.copy()
+        if impacts is not None:
+            self._heights = MovingHeights(self._moving.still, terrain.footprints, impacts.stream)
+            impacts.surfaces, impacts.relisted = self._heights.fields, True
+
+    def cover(self, time, *following):
+        """Let the drops that are listed next meet the map as it is at a time [s].
+
+        Those of the `following` times [s] are looked for beside it.
+        """
+        self._heights.send(self._moving.at(time))
+        self._middle = time
+        if may_run_beside():
+            self._moving.look_ahead(following)
+
+    def thin_rain(self):
+        """Let less rain reach the ground in the listed interval."""
+        if self._heights is None:
+            return
+        shelters = self._moving.moment(self._middle)[1]
+        if shelters is self._shelters:
+            return
+        for part, _ in self._shelters:
+            self._opened[part] = self._exposure[part]
+        for part, let_through in shelters:
+            self._opened[part] *= let_through
+        if self._shelters or shelters:
+            self._water.shelter(self._opened, [part for part, _ in shelters])
+        self._shelters = shelters

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from rainsim.cuda.particles.spray import Spray
 from rainsim.cuda.rain.moving_surfaces import MovingHeights
-from rainsim.particles.spray import flocks_seen
+from rainsim.particles.spray import spray_seen
 from rainsim.rain.moving_surfaces import FRAMES_AHEAD
-from rainsim.rain.throws import KnownParcels
 
 
 class MovingActors:
@@ -30,12 +29,11 @@ class MovingActors:
 
     def __init__(self, frame):
         self._frame, conductor = frame, frame.conductor
-        self._parcels = KnownParcels()
         footprints = conductor.ground.terrain.footprints
         self.heights = self.spray = None
         if footprints:
             self.heights = MovingHeights(conductor.ground.moving.still, footprints, frame.stream)
-            self.spray = None if conductor.config.render.spray == "off" else Spray(frame.stream)
+            self.spray = Spray(frame.stream) if conductor.cars else None
 
     def update(self, state):
         """List the copies to the device for the next frame."""
@@ -46,9 +44,8 @@ class MovingActors:
         if self.spray is not None:
             # Found while the device draws the frame before.
             exposure, camera = conductor.now.render.exposure, conductor.ground_camera
-            spray = *flocks_seen(
-                state.throws, state.throw_id, camera, state.time, exposure, self._parcels.flying
-            ), camera  # fmt: skip
+            rolls = conductor.frame["rolls"]
+            spray = *spray_seen(rolls, camera, state.time, exposure), camera
         frame.pending.append(lambda: self._send_moment(surfaces, spray))
         # Those that follow, if they do, while the device draws these.
         fps = conductor.config.fps

@@ -39,8 +39,6 @@ class AovReader:
         frame, conductor = self._frame, self._frame.conductor
         inputs, scene = conductor.frame, conductor.wet_scene
         capture = scene.capture
-        if scene.take_tracks(state.tracks):  # which the device has laid on its own map alone
-            inputs.put("scene", scene, scene.changes)
         for name in ("picture", "below", "depth", "clearance", "dazzling"):
             inputs.put(name, frame[name].copy_to_host())
         cover, light = frame.passes.rain.cover(), frame.passes.drop_light
@@ -52,7 +50,6 @@ class AovReader:
         inputs.put("water", frame.passes.surface.depth.copy_to_host())
         inputs.put("ripples", (frame.ripple_slopes(), state.tile_size))
         inputs.put("drips", (state.drips, state.drip_id))
-        inputs.put("throws", (state.throws, state.throw_id))
         if capture.paged is not None:  # which draws for the host with a rasterizer of its own
             inputs.make(buffers_of(names), self._passes.work)
             return

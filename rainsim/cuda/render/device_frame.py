@@ -17,14 +17,13 @@ from rainsim.cuda.lod.paged import ChunkPicture
 from rainsim.cuda.moving_map import MovingMap
 from rainsim.cuda.raster import Rasterizer
 from rainsim.cuda.render.passes import Passes
-from rainsim.io.states import NO_TRACKS
 from rainsim.particles.fog import FOG_STEPS
 from rainsim.reflection.ray_water import COVERING_DEPTHS
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_pass import March
 from rainsim.scene.view import view_of_arrays
 from rainsim.shading.grading import Look
-from rainsim.shading.wetness import OffGroundWetness, Wetness
+from rainsim.shading.wetness import OffGroundWetness
 from rainsim.ssr import bounds_of
 
 
@@ -99,7 +98,6 @@ class DeviceFrame:
                 ("bodies", None),
             )
         }  # fmt: skip
-        self._film = None, None  # of ground that no tyre has passed: its map, the film here
         self._sent = {name: value for name, value, _ in self._kept() if name != "actors"}
         name, value, send = next(each for each in self._kept() if each[0] == "bodies")
         self._send(name, value, send)
@@ -121,8 +119,7 @@ class DeviceFrame:
         The device may still be drawing the frame before: only `pending` writes to its buffers.
         """
         conductor, passes = self.conductor, self.passes
-        on_device = simulation_of(state) is not None
-        conductor.wet_scene.take_tracks(NO_TRACKS if on_device else state.tracks)
+        conductor.roll(state.time, host_depth(state) if conductor.cars else None)
         conductor.take(camera, state, camera_end)
         self.pending = [
             partial(self._send, name, value, send)
@@ -217,10 +214,7 @@ class DeviceFrame:
         self.tile = np.float32(state.tile_size)
         if len(self._tops.form):
             self.uniforms.update(tops=self.conductor.frame["tops"].water)
-        if (simulation := simulation_of(state)) is not None:
-            if simulation.has_tyres:
-                self.pending.append(partial(self._thin_film, state))
-                self.look = *self.look, state.step
+        if simulation_of(state) is not None:
             return
         moments = ripple_moments(state.slopes)
         if self._buffers["moments"] is None:
@@ -233,22 +227,9 @@ class DeviceFrame:
 
         self.pending.append(send_water)
 
-    def _thin_film(self, state):
-        """Queue the thinning of the film where tyres have passed, on a device's own water."""
-        untouched = self.conductor.wet_scene.ground.tracked.untouched
-        if self._film[0] is not untouched:
-            film = np.ascontiguousarray(untouched[..., Wetness._fields.index("film")])
-            if self._film[1] is None:
-                self._film = None, cuda.device_array(film.shape, np.float32)
-            self._staging.send(self._film[1], film)
-            self._film = untouched, self._film[1]
-        there = self._film[1], self._buffers["ground_map"]
-        state.simulation.thin_film(state.step, *there, self.stream)
-
     def leave_water(self):
         """Let go of the water of the frames so far; the next shows that of another simulation."""
         self._buffers["moments"], self.passes.surface.depth = None, self._buffers["water"]
-        self._sent["ground_map"], self._maps["ground_map"].still = None, None
         self.passes.rain.leave_water()
 
     def take_water(self, state):
@@ -322,6 +303,12 @@ class DeviceFrame:
 def to_device(array):
     """Return a float32 copy of an array on the device."""
     return cuda.to_device(np.ascontiguousarray(array, dtype=np.float32))
+
+
+def host_depth(state):
+    """Return the depth of a state's water on the host, ndarray (ny, nx) [m]; may wait for it."""
+    simulation = simulation_of(state)
+    return state.depth if simulation is None else simulation.host_depth(state.step)
 
 
 def simulation_of(state):

@@ -184,8 +184,7 @@ class RainPass:
 
     def dependencies(self):
         """Return the values that a recorded queue depends on, one for each list that it draws."""
-        spray = None if self.streaks is None else self.streaks.spray
-        parts = self.splashes, self.streaks, spray, self.drips
+        parts = self.splashes, self.streaks, self.drips
         return tuple(part.version for part in parts if part is not None)
 
     def cover(self):
