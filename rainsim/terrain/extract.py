@@ -211,7 +211,7 @@ def _piece(scene, cloud, piece, mask, step):
     off = np.zeros_like(near)
     if cloud.poor is not None:
         bed, source, noise, color, green = cloud.poor.bed(grid)
-        top, underside = cloud.poor.cover(cloud.places, grid, bed, cloud.top)
+        bed, top, underside = cloud.poor.cover(cloud.places, grid, bed, cloud.top)
         for _ in range(STEPS - 1):
             step()
     else:
@@ -265,7 +265,8 @@ def _report(terrain, removed, mask):
     if terrain.layer.size:
         yield (
             f"PUDDLES ARE ASSUMED: the splats of the ground lie up to {terrain.layer.max():.2g} m "
-            "off it, so its bed is even but for the roughness of average roads (ISO 8608, class C)"
+            "off it, so its bed is even but for the roughness of average roads (ISO 8608, class C),"
+            " settled stones and feet of walls"
         )
     names = class_table().names
     counted = [(np.mean(classes == code), name) for code, name in enumerate(names)]
