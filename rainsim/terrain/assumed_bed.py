@@ -35,6 +35,9 @@ FARTHEST = 20.0  # cameras' heights to the ground that they show
 PATCH = 0.1  # m, cells of the ground's colours
 SPREADS, LEAST_SEEN = (0.0, 0.15, 0.5, 1.5, 4.0), 0.02  # m about seen cells; share of them
 THICK = 0.06  # m about the places of things, that they fill
+# Layers over the bed up to which sheets of it lie; of them, how many splats are over that at most
+# where nothing stands.
+SHEETS, FEW = 2.0, 0.1
 STANDS = 0.5  # m over the layer of the ground, up to which what begins there stands on it
 # Power spectral density of the height of a road along a line, G (n / N0)^-2 [m3] at n waves per
 # metre: ISO 8608:2016, class C ("average"), geometric mean of its range.
@@ -432,3 +435,24 @@ def _normal(row, column, seed):
     # The sum of four uniform numbers of 16 bits is nearly normal.
     parts = sum(((h >> np.uint64(16 * k)) & np.uint64(0xFFFF)).astype(np.float32) for k in range(4))
     return (parts / np.float32(65536) - np.float32(2)) * np.float32(3**0.5)
+
+
+def open_sheets(terrain, position):
+    """Return which splats show poor ground where nothing stands, bool (n,).
+
+    They lie about the bed, and few are over them. `position` (n, 3) [m] is that of all splats.
+    """
+    if not terrain.layer.size:
+        return np.zeros(len(position), bool)
+    with np.errstate(invalid="ignore"):
+        finite = np.isfinite(position).all(axis=1)
+    grid = terrain.grid
+    row, column, _ = grid.cells(*np.where(finite[:, None], position, 0)[:, :2].T)
+    over = position[:, 2] - terrain.bed[row, column] - SHEETS * terrain.layer[row, column]
+    low, rises = finite & (over < 0), finite & (over >= 0) & (over < STANDS)
+    side = max(1, round(BESIDE / grid.spacing))
+    wide = grid.shape[1] // side + 1
+    cell = (row // side) * wide + column // side
+    size = (grid.shape[0] // side + 1) * wide
+    few = np.bincount(cell[rises], minlength=size) < FEW * np.bincount(cell[low], minlength=size)
+    return low & few[cell]
