@@ -32,6 +32,7 @@ from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import SkyMaps
 from rainsim.simulation import usual_wind
 from rainsim.surface.kept_surface import kept_surface, splat_normals
+from rainsim.terrain.assumed_bed import open_sheets
 
 BRIGHT_SKY = 0.15  # mean linear light above which splats of the sky show it
 
@@ -92,8 +93,12 @@ class WetScene:
         if leave_out:
             self.scene, told = without_shreds(self.scene, bad)
             self.notes += told
+        # Sheets that show poor ground would hide from water what stands behind them.
+        bad = bad | open_sheets(terrain, self.frame.to_ground(self.scene.splats.position))
         if bad.any():
-            self.notes.append(f"mirrors leave out {bad.sum()} splats that hardly any camera saw")
+            self.notes.append(
+                f"mirrors leave out {bad.sum()} splats that few saw or that show poor ground"
+            )
         reach = rain_exposure(terrain, usual_wind(config), config.rain.roughness)
         self.ground = WetGround(terrain, reach)
         self._relit, self._sky_is_left_out = gain is not None, backdrop.count > 0

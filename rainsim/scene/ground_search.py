@@ -23,6 +23,7 @@ from rainsim.scene.plane import ROUGHER, THRESHOLD, Plane, find_plane, upright_p
 UP_HINT_ANGLE = math.radians(20)  # how far the ground may lean from an up that the user gives
 IMAGE_UP_ANGLE = math.radians(70)  # from image-up, which leans as far as a camera looks down
 LEVEL_ANGLE = math.radians(3)  # from the cameras' level; three of its deviations, if that is more
+BY_VIEWS = math.radians(45)  # from image-up: such a level was found by views down
 # A plane of splats of this confidence is taken as it is; a poorer one, unless the plane that is
 # level by the cameras has so many times its share of places with ground.
 SURE_PLANE, CLEARLY = 0.5, 1.25
@@ -79,6 +80,8 @@ def ground_below(splats, cameras, up, seed):
         off = math.degrees(angle_between(level.up, up))
         notes.append(f"the cameras were held {off:.0f} degrees from the up that is given")
         level = None
+    if level is not None and up is None:
+        level = _upright(level, splats, cameras, reach, seed)
     if level is not None:
         level = _with_walls(level, cameras, points, reach, seed)
     hint, angle = up, UP_HINT_ANGLE
@@ -164,6 +167,24 @@ def mean_image_up(cameras):
     mean = np.mean([camera.image_up for camera in cameras], axis=0)
     length = np.linalg.norm(mean)
     return None if length < LEAST_IMAGE_UP else mean / length
+
+
+def _upright(level, splats, cameras, reach, seed):
+    """Return the `Level` by image-up where ground lies below that; else `level`, by views down.
+
+    From a straight path before a front the front looks as ground does from the air.
+    """
+    own = mean_image_up(cameras)
+    if own is None or angle_between(level.up, own) < BY_VIEWS:
+        return level
+    upright = level_of(cameras, reach, own)
+    eyes = np.array([camera.position for camera in cameras])[upright.weight >= MISPLACED]
+    angle = max(LEVEL_ANGLE, 3 * upright.deviation)
+    try:
+        plane, _ = search_ground(splats, eyes, upright.up, angle, seed, True, ambiguous=True)
+    except GroundError:
+        return level
+    return upright if plane.confidence >= SURE_PLANE else level
 
 
 def _looks_around(cameras):

@@ -35,16 +35,27 @@ FARTHEST = 20.0  # cameras' heights to the ground that they show
 PATCH = 0.1  # m, cells of the ground's colours
 SPREADS, LEAST_SEEN = (0.0, 0.15, 0.5, 1.5, 4.0), 0.02  # m about seen cells; share of them
 THICK = 0.06  # m about the places of things, that they fill
+# Layers over the bed up to which sheets of it lie; of them, how many splats are over that at most
+# where nothing stands.
+SHEETS, FEW = 2.0, 0.1
 STANDS = 0.5  # m over the layer of the ground, up to which what begins there stands on it
 # Power spectral density of the height of a road along a line, G (n / N0)^-2 [m3] at n waves per
 # metre: ISO 8608:2016, class C ("average"), geometric mean of its range.
 DENSITY, N0 = 256e-6, 0.1  # m3, 1/m
 WAVES = 4.0, 2.0, 1.0  # m, the octaves that are drawn; longer ones are slopes
 OCTAVE = 2**0.5 - 2**-0.5  # integral of n^-2 over an octave about n, times n
+# ASSUMED: where stones and slabs have settled, hollows under the upper sixth of random waves. They
+# are so deep that bed and hollows hold 2.2, 1.6, 1.1, 0.55 and 0.2 mm of rain at slopes S of 0.1,
+# 0.25, 0.5, 1 and 2 %. Kidd (1978; EPA SWMM reference manual I) found 0.77 mm S^-0.49 on paved
+# catchments; less 0.3 mm in dips finer than a cell that is 2.1, 1.2, 0.8, 0.5 and 0.25 mm.
+SETTLED_WAVE, SETTLED_ABOVE, SETTLED = 1.5, 1.0, 0.018  # m; standard deviations; m for one
+# ASSUMED: how much lower ground is along kerbs, walls and posts, and within which distance.
+FOOT_DROP, FOOT_WIDTH = 8e-3, 0.3  # m
 # Variance of the random coefficients over that of an octave: splines spread a part of it to longer
 # waves. The density is then met within 15 % from 0.2 to 0.6 waves per metre; shorter waves would
 # draw hollows of a hand's width, which joints and stones decide and not the bed.
 COEFFICIENTS = 20.0
+DEVIATION = 0.48  # of splines whose random coefficients have 1
 
 
 def scatter_of(above, position, cover, height):
@@ -134,11 +145,15 @@ class PoorGround:
         return bed_of(*self._colors, grid, self.level)
 
     def cover(self, places, grid, bed, ceiling):
-        """Return what `cover` does, of `places` on which cameras agree, (n, 3) [m]."""
+        """Return the bed, lower along what stands on it, and `cover` over it, all heights [m].
+
+        `places` (n, 3) [m] are those on which cameras agree.
+        """
         above = np.array(places)
         above[:, 2] -= self.level(*above[:, :2].T)
         top, low = cover(above, grid, self.layer, ceiling, path_of(self._eyes, grid))
-        return bed + top, bed + low
+        bed = bed - foot_drop((top > 0) & (low == 0), grid.spacing)
+        return bed, bed + top, bed + low
 
     def layer_map(self, grid, stands):
         """Return what `layer_map` does; `stands` (ny, nx), bool, is where things stand."""
@@ -284,7 +299,7 @@ def bed_of(patches, color, known, grid, level):
     heights = level(*np.meshgrid(x0, y0)).reshape(len(y0), len(x0))
     across = np.stack([np.interp(x, x0, row) for row in heights])
     bed = np.stack([np.interp(y, y0, column) for column in across.T], axis=1)
-    bed = (bed + roughness(grid)).astype(np.float32)
+    bed = (bed + roughness(grid) - settled(grid)).astype(np.float32)
     source = np.where(known, INFERRED, UNKNOWN).astype(np.uint8)
     return bed, source, np.zeros(grid.shape, np.float32), color, green
 
@@ -362,21 +377,39 @@ def layer_map(stands, went, spacing, scatter, height):
     return np.minimum(layer, WENT * height).astype(np.float32)
 
 
+def foot_drop(stands, spacing):
+    """Return how much lower [m] the bed is along what `stands` (ny, nx), bool, on it, float32."""
+    if not stands.any():
+        return np.zeros(stands.shape, np.float32)
+    away = ndimage.distance_transform_edt(~stands).astype(np.float32) * np.float32(spacing)
+    return np.float32(FOOT_DROP) * np.clip(1 - away / np.float32(FOOT_WIDTH), 0, 1)
+
+
 def roughness(grid, seed=0):
     """Return the heights [m] of an average road over a grid, ndarray of shape (ny, nx), float32.
 
     They depend on the place alone, not on the grid: octaves of cubic splines whose coefficients are
     random numbers on lattices through the origin. Under a straightedge of 3 m gaps are some 6 mm.
     """
-    x, y = grid.centres()
     height = np.zeros(grid.shape, np.float32)
     for octave, wave in enumerate(WAVES):
-        variance = DENSITY * N0**2 * wave * OCTAVE
-        columns, across = _spline(2 * x / wave)
-        rows, down = _spline(2 * y / wave)
-        random = _normal(rows[:, None], columns[None, :], 97 * seed + octave)
-        height += np.sqrt(np.float32(COEFFICIENTS * variance)) * (down @ random @ across.T)
+        variance = COEFFICIENTS * DENSITY * N0**2 * wave * OCTAVE
+        height += np.sqrt(np.float32(variance)) * _waves(grid, wave, 97 * seed + octave)
     return height
+
+
+def settled(grid):
+    """Return how deep stones have settled [m] over a grid, by the place alone, (ny, nx) float32."""
+    waves = _waves(grid, SETTLED_WAVE, len(WAVES)) / np.float32(DEVIATION)
+    return np.float32(SETTLED) * np.maximum(waves - np.float32(SETTLED_ABOVE), 0)
+
+
+def _waves(grid, wave, seed):
+    """Return cubic splines over a grid of random numbers on a lattice of half a `wave` [m]."""
+    x, y = grid.centres()
+    columns, across = _spline(2 * x / wave)
+    rows, down = _spline(2 * y / wave)
+    return down @ _normal(rows[:, None], columns[None, :], seed) @ across.T
 
 
 def _spline(place):
@@ -402,3 +435,24 @@ def _normal(row, column, seed):
     # The sum of four uniform numbers of 16 bits is nearly normal.
     parts = sum(((h >> np.uint64(16 * k)) & np.uint64(0xFFFF)).astype(np.float32) for k in range(4))
     return (parts / np.float32(65536) - np.float32(2)) * np.float32(3**0.5)
+
+
+def open_sheets(terrain, position):
+    """Return which splats show poor ground where nothing stands, bool (n,).
+
+    They lie about the bed, and few are over them. `position` (n, 3) [m] is that of all splats.
+    """
+    if not terrain.layer.size:
+        return np.zeros(len(position), bool)
+    with np.errstate(invalid="ignore"):
+        finite = np.isfinite(position).all(axis=1)
+    grid = terrain.grid
+    row, column, _ = grid.cells(*np.where(finite[:, None], position, 0)[:, :2].T)
+    over = position[:, 2] - terrain.bed[row, column] - SHEETS * terrain.layer[row, column]
+    low, rises = finite & (over < 0), finite & (over >= 0) & (over < STANDS)
+    side = max(1, round(BESIDE / grid.spacing))
+    wide = grid.shape[1] // side + 1
+    cell = (row // side) * wide + column // side
+    size = (grid.shape[0] // side + 1) * wide
+    few = np.bincount(cell[rises], minlength=size) < FEW * np.bincount(cell[low], minlength=size)
+    return low & few[cell]

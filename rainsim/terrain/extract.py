@@ -95,7 +95,7 @@ def extract_terrain(scene, config, mask=None, tell=None):
     if cloud.poor is None:
         tops = find_tops(terrain, scene)
     else:
-        terrain = replace(terrain, layer=cloud.poor.layer_map(grid, top > bed))
+        terrain = replace(terrain, layer=cloud.poor.layer_map(grid, top - bed > OCCLUDER_HEIGHT))
     removed = int(np.count_nonzero(left_out))
     step()
     notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes, *note_of(tops))
@@ -211,7 +211,7 @@ def _piece(scene, cloud, piece, mask, step):
     off = np.zeros_like(near)
     if cloud.poor is not None:
         bed, source, noise, color, green = cloud.poor.bed(grid)
-        top, underside = cloud.poor.cover(cloud.places, grid, bed, cloud.top)
+        bed, top, underside = cloud.poor.cover(cloud.places, grid, bed, cloud.top)
         for _ in range(STEPS - 1):
             step()
     else:
@@ -265,7 +265,7 @@ def _report(terrain, removed, mask):
     if terrain.layer.size:
         yield (
             f"PUDDLES ARE ASSUMED: the splats of the ground lie up to {terrain.layer.max():.2g} m "
-            "off it, so its bed is even but for the roughness of average roads (ISO 8608, class C)"
+            "off it: its bed has an average road's roughness, settled stones, lower feet of walls"
         )
     names = class_table().names
     counted = [(np.mean(classes == code), name) for code, name in enumerate(names)]

@@ -94,6 +94,34 @@ def test_a_survey_from_the_air_is_level_by_its_views_and_its_path():
     assert degrees_off(level_of(cameras, 40.0).up) < 0.5
 
 
+def test_a_front_seen_from_a_straight_path_is_not_the_ground():
+    paving = np.stack(np.meshgrid(np.arange(-8, 8, 0.2), np.arange(-4, 4, 0.2)), -1).reshape(-1, 2)
+    front = np.stack(np.meshgrid(np.arange(-4, 4, 0.1), np.arange(0, 5, 0.1)), -1).reshape(-1, 2)
+    ground = np.column_stack([paving, 0 * paving[:, 0]])
+    wall = np.column_stack([front[:, 0], 0 * front[:, 0] + 4, front[:, 1]])
+    cameras = [
+        look_at((x, -1.5, 1.7), (x + 1.5, 4, 1.2), UP, 60, 64, 48) for x in np.linspace(-5, 5, 14)
+    ]
+    splats = splats_at(np.concatenate([ground, wall]), scale=0.1)
+    assert degrees_off(estimate_ground_frame(splats, cameras).up) < 0.5
+
+
+def test_a_room_stands_on_its_floor():
+    across = np.arange(0.05, 6, 0.1)
+    floor = np.stack(np.meshgrid(across, across[:50], 0), -1).reshape(-1, 3)
+    side = np.stack(np.meshgrid(across, 0, across[:28]), -1).reshape(-1, 3)
+    end = np.stack(np.meshgrid(0, across[:50], across[:28]), -1).reshape(-1, 3)
+    x, y, z = np.diag((6, 5, 2.8))
+    room = [floor, floor + z, side, side + y, end, end + x]
+    cameras = [
+        look_at((3 + 1.8 * np.cos(a), 2.5 + 1.4 * np.sin(a), 1.5),
+                (3 - 2 * np.cos(a), 2.5 - 2 * np.sin(a), 1.1), UP, 60, 64, 48)
+        for a in np.linspace(0, 5.8, 12)
+    ]  # fmt: skip
+    found = estimate_ground_frame(splats_at(np.concatenate(room)), cameras, camera_height=1.5)
+    assert degrees_off(found.up) < 0.5 and abs(found.to_ground(np.zeros(3))[2]) < 0.02
+
+
 def test_too_few_cameras_tell_nothing():
     assert level_of(walk()[: FEWEST - 1], 5.0) is None
     assert level_of(walk()[:FEWEST], 5.0) is not None

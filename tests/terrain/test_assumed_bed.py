@@ -10,6 +10,7 @@ from rainsim.scene.types import GroundFrame, Scene
 from rainsim.terrain import assumed_bed
 from rainsim.terrain.extract import extract_terrain
 from rainsim.terrain.types import INFERRED, Grid
+from rainsim.water.fill_spill_merge import standing_water
 
 GRID = Grid((300, 400), (-8.0, -6.0), 0.04)
 
@@ -34,6 +35,34 @@ def test_roughness_has_the_spectrum_of_an_average_road():
         band = (waves[1:] > low) & (waves[1:] < 1.7 * low)
         assert 0.7 < np.mean(density[1:][band] / road[band]) < 1.4
     assert 0.002 < height.std() < 0.012
+
+
+def test_stones_have_settled_here_and_there_and_hold_water_on_a_slope():
+    deep = assumed_bed.settled(GRID)
+    assert 0.1 < np.mean(deep > 0) < 0.25 and 0.02 < deep.max() < 0.08 and deep.min() == 0
+    bed = assumed_bed.roughness(GRID) - deep + 0.01 * GRID.centres()[0]
+    depth, _, _ = standing_water(bed, 0.01, GRID.spacing)
+    assert 0.2e-3 < depth.mean() < 1e-3  # Kidd's law says 0.5 mm
+
+
+def test_ground_is_lower_along_what_stands_on_it():
+    stands = np.zeros((9, 60), bool)
+    assert not assumed_bed.foot_drop(stands, 0.05).any()
+    stands[:, 10] = True
+    drop = assumed_bed.foot_drop(stands, 0.05)[4]
+    assert drop[10] == np.float32(assumed_bed.FOOT_DROP) and (np.diff(drop[10:16]) < 0).all()
+    assert not drop[16:].any()
+
+
+def test_mirrors_leave_out_sheets_in_the_open_and_keep_what_stands():
+    poor = extract_terrain(poor_scene(0.2), Config.from_preset("moderate").terrain)
+    sheets = np.array([(4 + 0.01 * k, 1.0, 0.2) for k in range(30)])
+    box = np.array([(8.0, 1.0, 0.1 * k) for k in range(30)])
+    places = np.concatenate([sheets, box, [(np.nan, 0, 0)]])
+    left_out = assumed_bed.open_sheets(poor, places)
+    assert left_out[:30].all() and not left_out[30:].any()
+    known = extract_terrain(poor_scene(0.004), Config.from_preset("moderate").terrain)
+    assert not assumed_bed.open_sheets(known, places).any()
 
 
 def test_scatter_is_that_below_the_level_and_none_of_fine_ground():
