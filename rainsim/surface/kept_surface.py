@@ -117,7 +117,7 @@ def find_surface(scene):
         alone = _alone(near, surface)
         sky, aloft = _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
         sky &= good
-    solid = _solid(position, near, splats, good, views, frame, surface)
+    solid = _solid(position, near, splats, good & ~sky, views, frame, surface)
     picture = ground_picture(views)
     shade = None if picture is None else ground_shade(picture)
     return Found(
