@@ -269,8 +269,8 @@ def _dry(layers, camera, capture):
 
 @layer("matte")
 def _matte(layers):
-    share = np.interp(layers.alpha, (0, 0.5, OPAQUE), (0, 0.5, 1))  # as `grading.covered_share`
-    return share.astype(np.float32)
+    # As `grading.covered_share`.
+    return np.interp(layers.alpha, (0, 0.5, OPAQUE), (0, 0.5, 1)).astype(np.float32)
 
 
 @layer("position")
