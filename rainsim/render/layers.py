@@ -23,6 +23,7 @@ from rainsim.render.shutter import next_camera
 from rainsim.scene.view import pixel_rays
 from rainsim.shading import composite
 from rainsim.shading.dampness import find_dampness
+from rainsim.shading.grading import OPAQUE
 from rainsim.terrain.table import WATER
 
 MOST_INDEX = 2**16 - 1
@@ -268,7 +269,8 @@ def _dry(layers, camera, capture):
 
 @layer("matte")
 def _matte(layers):
-    return np.clip(layers.alpha, 0, 1)
+    # As `grading.covered_share`.
+    return np.interp(layers.alpha, (0, 0.5, OPAQUE), (0, 0.5, 1)).astype(np.float32)
 
 
 @layer("position")

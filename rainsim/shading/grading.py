@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import ONE, ZERO
+from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
 from rainsim.shading.color import linear_from_display, luminance
@@ -21,7 +21,9 @@ SHINES = np.float32(1.5)  # linear luminance that only lamps reach in a capture
 COMPRESSED = np.float32(0.25)  # of white, above which highlights are compressed
 SKY_DARK, SKY_BRIGHT = np.float32(0.10), np.float32(0.22)  # linear luminance: no sky, all sky
 SKY_DULL, SKY_BLUE = np.float32(0.6), np.float32(0.85)  # blue over the largest channel: as above
-OPAQUE, LEAST_COVER = np.float32(0.99), np.float32(1e-3)  # alpha that hides all, and next to none
+# Alpha that hides all: the sky before which a surface was trained shows through it a little; and
+# next to none.
+OPAQUE, LEAST_COVER = np.float32(0.9), np.float32(1e-3)
 
 
 class Look(NamedTuple):
@@ -98,9 +100,12 @@ def graded(r, g, b, look):
 
 
 @inlined_function
-def is_edge(alpha, look):
-    """Tell whether the sky behind shows past a surface that covers a share `alpha` of a pixel."""
-    return look.open_sky > ZERO and alpha < OPAQUE
+def covered_share(alpha):
+    """Return the share of a pixel in which a surface of this alpha hides the sky behind.
+
+    At edges it is alpha, up to HALF; what hides nearly all hides all.
+    """
+    return min(max(alpha, HALF + (alpha - HALF) / (OPAQUE / HALF - ONE)), ONE)
 
 
 @inlined_function
@@ -120,7 +125,7 @@ def undiluted(r, g, b, alpha):
 @inlined_function
 def surface_color(r, g, b, alpha, look):
     """Return the linear colour of a captured surface; other parameters are those of `undiluted`."""
-    return undiluted(r, g, b, alpha if is_edge(alpha, look) else ONE)
+    return undiluted(r, g, b, alpha if look.open_sky > ZERO else ONE)
 
 
 @inlined_function

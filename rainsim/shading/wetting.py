@@ -21,7 +21,7 @@ from rainsim.shading.bodies import body_share
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import reflectance
-from rainsim.shading.grading import graded, is_edge, surface_color
+from rainsim.shading.grading import covered_share, graded, surface_color
 from rainsim.shading.surface_point import (
     SurfacePoint,
     ground_share,
@@ -326,8 +326,8 @@ def rainy_color(r, g, b, alpha, sine, cosine, upness, height, level, wet, look):
     # in haze; `skyline` says in which directions it is open.
     keep = ONE
     if look.open_sky > ZERO:
-        keep = alpha if is_edge(alpha, look) else ONE
-        through = (ONE - alpha) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
+        keep = covered_share(alpha)
+        through = (ONE - keep) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
     else:
         through = (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
     return r * keep, g * keep, b * keep, gloss * keep, through, smooth

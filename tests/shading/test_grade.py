@@ -10,7 +10,7 @@ from rainsim.numerics.interpolation import bilinear, map_place
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading import sky, surface_point, wet_pass, wetting
 from rainsim.shading.dampness import find_dampness
-from rainsim.shading.grading import is_edge, undiluted
+from rainsim.shading.grading import OPAQUE, covered_share, undiluted
 from rainsim.shading.smooth_normals import smooth_normal
 from rainsim.shading.surface_point import GroundMaps, SurfacePoint
 from rainsim.shading.wetting import SkyMaps
@@ -141,7 +141,7 @@ def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisone
             alpha, around = dry.alpha[at], TURN @ F4(smooth_normal(
                 dry.depth, dry.normal, *at, HEIGHT, WIDTH, VIEW.fx, dry.around / UNIT
             ))  # fmt: skip
-            rgb = undiluted(*dry.color[at], alpha if is_edge(alpha, look) else F4(1))
+            rgb = undiluted(*dry.color[at], alpha)
             lean = wetting.wetted_normal(*rgb, above, point, tuple(around), F4(0))
             point = SurfacePoint(*(EYE + e * ray), *lean, e * length)
         level = surface_point.ground_share(above, point.nz, F4(0))
@@ -200,6 +200,11 @@ def test_nowhere_is_some_place_in_memory(poisoned):
     assert (s[2 * n :] == 1).all() and place.max() < field.size
     pixel_batches.interpolate(field, n, s, 0, n, place, corner)
     assert place.max() < field.size - 11
+
+
+def test_what_hides_nearly_all_of_the_sky_hides_all_and_edges_stay_as_they_are():
+    found = [covered_share(F4(alpha)) for alpha in (0, 0.1, 0.5, 0.7, OPAQUE, 1)]
+    np.testing.assert_allclose(found, [0, 0.1, 0.5, 0.75, 1, 1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("z", [0.3, -0.3])
