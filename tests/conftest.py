@@ -91,7 +91,7 @@ def monkeypatch(monkeypatch):
     return monkeypatch
 
 
-AS_SHIPPED = ("farm", "golden", "rain", "water")
+AS_SHIPPED = ("examples", "farm", "golden", "rain", "water")
 
 
 @pytest.fixture(scope="module", autouse=True)
