@@ -51,6 +51,7 @@ def small():
         for name, value in small.items():
             patch.setattr(stations, name, value)
         patch.setattr(path_ground, "STRIP", 2.0)
+        patch.setenv("RAINSIM_CACHE", "off")  # no name of an entry tells of these
         yield
 
 

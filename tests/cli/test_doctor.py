@@ -32,6 +32,7 @@ def test_what_is_wrong_comes_with_its_remedy(monkeypatch, tmp_path):
 
 
 def test_doctor_tells_the_folder_of_kept_results_and_its_size(monkeypatch, tmp_path):
+    monkeypatch.setenv("RAINSIM_CACHE", "off")
     report, table = rainsim.commands.environment.report, rainsim.commands.environment.table
     assert report()["results"]["folder"] is None and "RAINSIM_CACHE is off" in table(report())
     monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path / "kept"))

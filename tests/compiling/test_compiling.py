@@ -331,7 +331,7 @@ def test_the_list_names_kernels_that_exist(module):
 def test_a_run_calls_what_the_list_says(use):
     done = subprocess.run(
         [sys.executable, "-m", "rainsim.commands.record", "--one", use],
-        env=os.environ | {VARIABLE: "1"}, capture_output=True, text=True,
+        env=os.environ | {VARIABLE: "1", "RAINSIM_CACHE": "off"}, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]

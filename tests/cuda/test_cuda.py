@@ -1,11 +1,16 @@
 """The CUDA twins: their tests in numba's simulator, and what is said where there is no GPU."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 import rainsim.cuda
 from rainsim.errors import BackendError
-from simulator import QUICK, Simulator
 
+QUICK = ("raster", "shading", "water", "edges", "streaks", "drops", "drips")
+"""What the default suite runs."""
 LONG = ("film", "splash", "ripples", "simulate", "frame", "actors", "mirror", "bench", "chunks")
 
 
@@ -16,12 +21,15 @@ LONG = ("film", "splash", "ripples", "simulate", "frame", "actors", "mirror", "b
         *(pytest.param((name,), id=name, marks=pytest.mark.slow) for name in LONG),
     ],
 )
-def test_the_twins_in_the_simulator(request, root, names):
-    """In a process of its own; QUICK has run beside the tests before this one, without `-n`."""
-    started = request.config.stash.get(Simulator.KEY, None) if names == QUICK else None
-    code, said = (started or Simulator(root, names)).finish()
-    assert code == 0, said[-4000:]
-    assert " passed" in said
+def test_the_twins_in_the_simulator(root, names):
+    """In a process of its own: numba chooses the simulator when it is imported."""
+    files = [f"tests/cuda/simulated_{name}.py" for name in names]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files],
+        cwd=root, env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-4000:]
+    assert " passed" in done.stdout
 
 
 def test_what_is_missing_is_named_with_its_remedy(monkeypatch):

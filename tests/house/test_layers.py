@@ -2,12 +2,12 @@
 
 import ast
 import functools
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from counts import circles, imports_of
 
 from source import nodes, tree
 
@@ -74,18 +74,8 @@ KNOWN = {_module(path) for path in MODULES}
 @functools.cache
 def _imports(path):
     """All modules that a file imports, at its top, inside functions or by a name in a string."""
-    found = set()
-    for node in nodes(path):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{_name(path)} has a relative import"
-            found.add(node.module)
-            found |= {f"{node.module}.{alias.name}" for alias in node.names}
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if re.fullmatch(r"rainsim(\.\w+)+", node.value):
-                found.add(node.value)
-    return found
+    assert not any(isinstance(n, ast.ImportFrom) and n.level for n in nodes(path)), _name(path)
+    return imports_of(tree(path))
 
 
 def _of_ours(path):
@@ -139,21 +129,8 @@ def test_imports_follow_the_order(path):
 def test_no_circle_between_files_is_left():
     edges = {_module(path): _of_ours(path) for path in MODULES if _module(path) != "__init__"}
     edges["scene.library"] -= {other for here, other in EXCEPTIONS if here == "scene.library"}
-    done, open_ = set(), []
-
-    def visit(name):
-        if name in open_:
-            raise AssertionError("a circle: " + " -> ".join([*open_[open_.index(name) :], name]))
-        if name in done:
-            return
-        open_.append(name)
-        for other in sorted(edges.get(name, ())):
-            visit(other)
-        done.add(open_.pop())
-
-    for name in sorted(edges):
-        visit(name)
-    assert len(done) > 100
+    assert len(edges) > 100
+    assert not circles(edges)
 
 
 COMPILERS = {"jit.py", "cuda/jit.py"}  # one for each backend

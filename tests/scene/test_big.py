@@ -47,7 +47,7 @@ from rainsim.terrain.types import Grid
 
 pytest.importorskip("gsply")
 pytest.importorskip("imagecodecs")
-WHOLE_SURROUNDINGS = True  # which choose levels of their own
+AS_SHIPPED = True  # which choose levels of their own
 CONFIG = Config.from_preset("moderate").replace(
     past=4e-3, extent=1.0, spacing=0.05, frames=3, width=96, height=64, detail=0.7, relight="off"
 )

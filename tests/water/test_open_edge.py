@@ -28,22 +28,25 @@ def channel(edge, scheme, dtype=np.float32, noise=0.0, cells=30):
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("edge", ["west", "east", "south", "north"])
-def test_what_comes_in_leaves_over_a_higher_last_cell(edge, scheme):
-    solver, supply = channel(edge, scheme)
-    solver.advance(300.0, rain=supply)
-    report = solver.advance(100.0, rain=supply)
-    assert solver.discharge(edge) == pytest.approx(supply.sum(), rel=1e-2)
-    assert abs(report.residual) < 1e-6
-    assert report.min_depth >= 0
-    # Critical flow over the sill and 0.05 m below it make 0.29 m; dammed up it was over 0.5 m.
-    assert 0.15 < solver.depth.max() < 0.32
-    if scheme != "paper":  # the same numbers whichever way the map lies
-        east, other = channel("east", scheme)[0], solver
-        east.advance(400.0, rain=channel("east", scheme)[1])
-        np.testing.assert_allclose(other.depth, turned(east.depth, edge), rtol=0.02, atol=1e-4)
+def test_what_comes_in_leaves_over_a_higher_last_cell(scheme):
+    depth = {}
+    for edge in ("east", "west", "south", "north"):
+        solver, supply = channel(edge, scheme)
+        solver.advance(150.0, rain=supply)
+        report = solver.advance(50.0, rain=supply)
+        assert solver.discharge(edge) == pytest.approx(supply.sum(), rel=1e-2)
+        assert abs(report.residual) < 1e-6
+        assert report.min_depth >= 0
+        # Critical flow over the sill and 0.05 m below it make 0.29 m; dammed up it was over 0.5 m.
+        assert 0.15 < solver.depth.max() < 0.32
+        depth[edge] = solver.depth
+        if scheme != "paper":  # the same numbers whichever way the map lies
+            np.testing.assert_allclose(
+                depth[edge], turned(depth["east"], edge), rtol=0.02, atol=1e-4
+            )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_the_sill_of_the_bench_passes_all_at_the_depth_of_critical_flow(scheme):
     found = hydraulics.at_sill(scheme)
