@@ -332,7 +332,7 @@ class WetGroundMirror:
     def apart(self):
         """Whether the level picture may be drawn, so that the film's cover must be known."""
         named = self.config.film != "environment"
-        return named and self.config.reflections in ("auto", "mirror", "traced")
+        return named and self.config.reflections in ("auto", "mirror")
 
     def add_to(self, wet, cover, camera, draw_mirrored, environment):
         """Return a wet picture with the reflections in its wet ground.
