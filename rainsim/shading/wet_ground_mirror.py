@@ -46,7 +46,7 @@ from rainsim.shading.lamp_images import (
     without_lamps,
 )
 from rainsim.shading.microfacet import LEAST_DIP, LOBE, SAMPLES, ground_reflectance, lobe_part
-from rainsim.splatting.coarse import merge_fine
+from rainsim.splatting.detail import merge_fine
 
 THIRD = np.float32(1 / 3)
 RESOLUTION = 160.0  # px per unit of tangent, of the level picture
