@@ -12,8 +12,8 @@ import time
 import numpy as np
 
 from benchmarks.suite import decibels
+from benchmarks.traced import RayScene
 from rainsim.constants import REFRACTIVE_INDEX
-from rainsim.reflection.ray_traced import Tracer
 from rainsim.scene.view import slopes
 from rainsim.shading import wet_ground_mirror
 from rainsim.shading.microfacet import LEAST_DIP
@@ -137,16 +137,13 @@ def ground_under(renderer, spot):
 def _trace(renderer, origin, direction, before, pixel):
     """Return the radiance of rays that are traced through the standing splats."""
     scene = renderer.conductor.wet_scene
-    capture, terrain = scene.capture, renderer.conductor.ground.terrain
-    stands = wet_ground_mirror.standing(capture.prepared, terrain, scene.frame)
-    kept, capture.tracer = capture.tracer, Tracer(scene.scene.splats.take(np.sort(stands.order)))
-    try:
-        return scene.traced(
-            origin.astype(np.float32), direction.astype(np.float32), before.astype(np.float32),
-            np.full(len(origin), pixel, np.float32),
-        )[0]  # fmt: skip
-    finally:
-        capture.tracer = kept
+    terrain = renderer.conductor.ground.terrain
+    stands = wet_ground_mirror.standing(scene.capture.prepared, terrain, scene.frame)
+    rays = RayScene(scene, scene.scene.splats.take(np.sort(stands.order)))
+    return rays.trace(
+        origin.astype(np.float32), direction.astype(np.float32), before.astype(np.float32),
+        np.full(len(origin), pixel, np.float32),
+    )[0]  # fmt: skip
 
 
 def _fresnel(cosine):

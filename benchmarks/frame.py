@@ -24,6 +24,7 @@ from benchmarks.suite import (
     quiet,
     scene_names,
 )
+from benchmarks.traced import trace_reflections
 from rainsim import pipeline
 from rainsim.backend import on_backend
 from rainsim.config.settings import Config
@@ -108,9 +109,9 @@ def measure(scene, width, motion, quick=False):
         own.draw(sized[-1], states[0])  # compiles, and draws a camera that is not timed
         if motion == "still":
             own.draw(sized[0], states[0])
-    best, best_states, large = (
-        renderer(frame_levels.TRUTH, TRUTH_SCALE) if small else (None, None, None)
-    )
+    if small:
+        best, best_states, large = renderer(frame_levels.TRUTH, TRUTH_SCALE)
+        trace_reflections(best)
     times = {name: [] for name in levels}
     errors = {name: [] for name in levels}
     for n in range(count * rounds):

@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks import frame_levels
 from benchmarks.frame_levels import TRUTH, TRUTH_SCALE
+from benchmarks.traced import trace_reflections
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
@@ -79,7 +80,7 @@ def measure(scene, width, motion, quick, say):
 
 
 def _true_pictures(scene, settings, ground, cameras, count):
-    best = Renderer(scene, ground, settings, cameras[0])
+    best = trace_reflections(Renderer(scene, ground, settings, cameras[0]))
     states = itertools.islice(pipeline.simulate(ground, settings), count)
     return [
         frame_levels.shrunk(best.draw(camera, state)[0])

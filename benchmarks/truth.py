@@ -19,8 +19,8 @@ import numpy as np
 from scipy import ndimage
 
 from benchmarks.suite import decibels
+from benchmarks.traced import RayScene, mirror_rays, traced_light
 from rainsim.reflection.facets import LEAST_VARIANCE, SAMPLES
-from rainsim.reflection.ray_traced import mirror_rays, traced_light
 from rainsim.reflection.screen_space import NOT_GROUND
 from rainsim.reflection.water_record import (
     COVARIANCE,
@@ -47,15 +47,16 @@ def trace_truth(renderer, camera, state):
 
     A dict. light: a pair of (n, 3), float32, independent estimates of what each record mirrors.
     known and seen, (n,) bool: which records the truth has, and whose ray ends on something that the
-    camera sees. alpha, (n,): of the ray of the mean slope. traced, (n, 3): light of the method
-    "traced". causes, view_dependence and cost: dicts.
+    camera sees. alpha, (n,): of the ray of the mean slope. traced, (n, 3): light of SAMPLES
+    rays. causes, view_dependence and cost: dicts.
     """
     water, wet, scene = renderer.water, renderer.wet, renderer.conductor.wet_scene
-    scene.traced(  # builds the hierarchy, which the time of tracing is counted without
+    rays_of = RayScene(scene)
+    rays_of.trace(  # builds the hierarchy, which the time of tracing is counted without
         water.record[:1, POINT], np.array([[0, 0, 1]], np.float32), np.zeros(1, np.float32), 1e-3
     )
     start = time.process_time()
-    alpha, end = traced_light(water.record, wet.view, scene.traced, water.light, water.source)
+    alpha, end = traced_light(water.record, wet.view, rays_of.trace, water.light, water.source)
     seconds = time.process_time() - start
     traced = water.light.copy()
     sampled = (water.record[:, VARIANCE_X] + water.record[:, VARIANCE_Y] >= LEAST_VARIANCE).sum()
@@ -66,12 +67,12 @@ def trace_truth(renderer, camera, state):
     eye = scene.frame.to_capture(wet.view.eye)
 
     def trace(*ray):
-        return scene.traced(*ray, color_eye=eye)
+        return rays_of.trace(*ray, color_eye=eye)
 
     traced_light(water.record, wet.view, trace, water.light, water.source)
     view_dependence = compare(water, water.light, (traced, traced), causes == "seen")
     pixel = water.pixel.copy()
-    light = [area_light(renderer, camera, state, pixel, seed) for seed in SEEDS]
+    light = [area_light(renderer, rays_of, camera, state, pixel, seed) for seed in SEEDS]
     renderer.draw(camera, state)
     known = np.isfinite(light[0] + light[1]).all(axis=1)
     for estimate in light:
@@ -83,15 +84,15 @@ def trace_truth(renderer, camera, state):
                                                         strict=True)},
         "cost": {
             "seconds": seconds, "rays": rays, "rays_per_second": rays / max(seconds, 1e-9),
-            "memory_mb": scene.capture.tracer.nbytes / 1e6,
+            "memory_mb": rays_of.tracer.nbytes / 1e6,
         },
     }  # fmt: skip
 
 
-def area_light(renderer, camera, state, pixel, seed):
+def area_light(renderer, rays_of, camera, state, pixel, seed):
     """Return the mean of RAYS^2 traced rays in each of the given pixels; NaN without water.
 
-    The renderer is left with another picture.
+    `rays_of` is the `RayScene`. The renderer is left with another picture.
     """
     rng = np.random.default_rng(seed)
     fine = camera.resized(camera.width * RAYS, camera.height * RAYS)
@@ -113,7 +114,7 @@ def area_light(renderer, camera, state, pixel, seed):
     record[:, SLOPE_Y] += along * p + across * q
     direction, (way, weight) = np.empty((count, 3), np.float32), np.empty((2, count), np.float32)
     mirror_rays(np.arange(count), record, renderer.wet.view, 0, direction, way, weight)
-    light, _, _ = conductor.wet_scene.traced(
+    light, _, _ = rays_of.trace(
         record[:, POINT], direction, way, record[:, VIEW_DEPTH] / way / np.float32(camera.fx)
     )
     row, column = np.divmod(water.pixel, fine.width)

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.suite import peak
+from benchmarks.traced import trace_reflections
 
 METHODS = ("ssr", "mirror", "auto", "traced")
 FRAMES = 3  # of a moving camera, of which the median counts; one more before them compiles
@@ -42,12 +43,15 @@ def draw_frames(name, preset, width, method):
     from rainsim.scene.library import load_scene
 
     scene = load_scene(name)
-    config = Config.from_preset(preset).replace(frames=1, width=width, reflections=method)
+    named = "auto" if method == "traced" else method
+    config = Config.from_preset(preset).replace(frames=1, width=width, reflections=named)
     camera = resize_to(scene.cameras[0], width)
     terrain = pipeline.extract_terrain(scene, config)
     state = next(pipeline.simulate(terrain, config))
     before = peak() / 2**20
     renderer = Renderer(scene, terrain, config, camera)
+    if method == "traced":
+        trace_reflections(renderer)
     seconds = []
     for _ in range(FRAMES + 1):
         start = time.perf_counter()

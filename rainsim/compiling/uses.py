@@ -9,7 +9,6 @@ USES = {
     "paper": ("paper", {}),
     "mirror": ("drizzle", {"reflections": "mirror"}),
     "ssr": ("drizzle", {"reflections": "ssr"}),
-    "traced": ("drizzle", {"reflections": "traced"}),
     "capture-sky": ("drizzle", {"sky": "capture"}),
 }
 # Uses that are no run of these settings.

@@ -93,9 +93,10 @@ class RenderConfig(Group):
         "auto", "reflections", "",
         "how reflections are found: mirror draws the capture again from the mirrored camera; ssr "
         "marches rays through the picture; auto uses mirror at the levels of most water and ssr "
-        "elsewhere; traced follows rays through the splats and is slow; paper does as the RainyGS "
-        "paper",
-        OneOf("auto", "mirror", "ssr", "traced", "paper"), dropdown=True,
+        "elsewhere; paper does as the RainyGS paper",
+        OneOf("auto", "mirror", "ssr", "paper",
+              remedy="auto is nearest to traced rays, which only python -m benchmarks look draws"),
+        dropdown=True,
         option=Option("reflections", "NAME"), touches=())
     relight: str = setting(
         "auto", "relight", "", "auto: shadows and colour of the sun that a capture was taken in go "

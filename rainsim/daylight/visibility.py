@@ -85,7 +85,7 @@ def with_plane(solids, surface):
 def coarsened(solids, cell):
     """Return solids of which those finer than a cell [m] are one a cell, of their moments.
 
-    As `splatting.coarse` merges splats, without colours.
+    As `splatting.detail` merges splats, without colours.
     """
     size = solids.covariance[:, 0] + solids.covariance[:, 3] + solids.covariance[:, 5]
     fine = size < (0.5 * cell) ** 2

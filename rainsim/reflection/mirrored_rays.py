@@ -13,7 +13,7 @@ from rainsim.jit import inlined_function
 from rainsim.reflection.facets import LEAST_COSINE, RADIUS, normal_of, sample_slopes, view_cosine
 from rainsim.scene.view import camera_component
 
-ENVIRONMENT, SCREEN, MIRROR, TRACED = 0, 1, 2, 3  # where mirrored light was found
+ENVIRONMENT, SCREEN, MIRROR = 0, 1, 2  # where mirrored light was found
 
 SPREAD = np.float32(1.25 / RADIUS)  # of samples in a blurred picture, over that; see docs/light.md
 # Deviation of the slopes that each of those samples stands for, so that the variances add up to 1.

@@ -337,7 +337,7 @@ def light_up(seen, name, wet, tops, mirrors, surroundings, tall=None, march=None
     ----------
     seen : SeenWater
     name : str
-        Of reflections; "traced" is `ray_traced.traced_light`.
+        Of reflections.
     wet : WetPicture
     tops : TopMaps
     mirrors : callable

@@ -6,7 +6,6 @@ import numpy as np
 
 from rainsim.actors.motion import same_place
 from rainsim.raster import prepare
-from rainsim.reflection.ray_traced import Tracer
 from rainsim.scene.splat_sets import joined
 from rainsim.shading.wet_ground_mirror import in_level_picture
 from rainsim.splatting.merged import Merger
@@ -93,10 +92,6 @@ class ActorSplats:
         if self.splats is not None:
             actors = in_level_picture(prepare(self.splats), terrain, frame)
         return self._standing.merged(actors, 0)
-
-    def tracer(self, splats):
-        """Return the `Tracer` of static splats and of the actors."""
-        return Tracer(splats if self.splats is None else joined([splats, self.splats]))
 
     def numbers(self, hit):
         """Return the number of the actor that each pixel shows, from 1 on, 0 for the static set.

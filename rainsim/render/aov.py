@@ -53,9 +53,7 @@ AOVS = {
     "film": Aov(DATA, "display white", "reflection of the water film on the ground, a part of wet"),
     "coverage": Aov(SHARE, "", "of the pixel that is water"),
     "reflection": Aov(DATA, "display white", "what the water mirrors (the paper's specular)"),
-    "reflection_source": Aov(
-        INDEX, "", "0 no water, 1 environment, 2 screen, 3 mirrored pass, 4 traced"
-    ),
+    "reflection_source": Aov(INDEX, "", "0 no water, 1 environment, 2 screen, 3 mirrored pass"),
     "refraction": Aov(DATA, "display white", "what shows through the water, absorption included"),
     "fresnel": Aov(SHARE, "", "of the light that the water mirrors"),
     "highlight": Aov(DATA, "display white", "the sun's glint on the water, as it is added"),

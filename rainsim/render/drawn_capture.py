@@ -1,4 +1,4 @@
-"""The splats of a capture as cameras, mirrored cameras and rays see them, dry."""
+"""The splats of a capture as cameras and mirrored cameras see them, dry."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 
 from rainsim.raster import prepare
 from rainsim.reflection.mirror_choice import merged_cells
-from rainsim.reflection.ray_traced import Tracer
 from rainsim.render.actor_splats import ActorSplats
-from rainsim.scene.cameras import MIRROR_CLEARANCE, cropped, mirrored_camera, resize_to
+from rainsim.scene.cameras import cropped, mirrored_camera, resize_to
 from rainsim.shading.wet_ground_mirror import RESOLUTION, in_level_picture
 from rainsim.splatting.detail import SIDES, Detail
 from rainsim.splatting.prepared import recolored, turn
@@ -19,7 +18,6 @@ FINER = 4  # pixels of the drawn surroundings, across one of the map's faces
 ALL = 2.5  # times as wide are small views of all splats, which are drawn too wide in smaller ones
 SMALL = 4.0  # px: threshold of pages in metering pictures, which come from all over a capture
 NEAR = 0.05  # m: splats nearer than this are not drawn
-FIRST_SEGMENT = 0.5  # m of a traced ray that are searched at first
 
 
 class DrawnCapture:
@@ -57,8 +55,6 @@ class DrawnCapture:
     rasterizer : Rasterizer or PagedRasterizer
     actors : ActorSplats or None
         What moves, see `move_actors`.
-    tracer : Tracer or None
-        Of the scene's splats, once rays were traced.
     changes : int
         Counts whatever makes pictures of the same camera differ.
     """
@@ -86,7 +82,7 @@ class DrawnCapture:
         if normals is not None and paged is None:
             turn(self.drawn, *normals)
         self.rasterizer = rasterizer_of(self.drawn) if paged is None else paged.whole
-        self._standing = self._captured = self._captured_merger = self.tracer = None  # on demand
+        self._standing = self._captured = self._captured_merger = None  # on demand
         self.changes = 0
 
     def forget_whole(self):
@@ -137,7 +133,7 @@ class DrawnCapture:
             self.paged.put_actors(self.actors, self.frame)
 
     def _changed(self):
-        self._standing = self.tracer = None
+        self._standing = None
         self.changes += 1
 
     # ---- what is drawn
@@ -230,17 +226,3 @@ class DrawnCapture:
         camera = camera.resized(camera.width // step, camera.height // step)
         cells = merged_cells(self.merge, step)
         return camera, self.rasterizer.draw(camera, self.near, plane, leading=True, detail=cells)
-
-    def trace(self, origin, direction, before, pixel, color_eye=None):
-        """Return what `ray_traced.Tracer.trace` finds along rays of the ground frame [m]."""
-        if self.tracer is None:
-            splats = self.splats
-            if self.badly_placed.any():
-                splats = splats.take(~self.badly_placed)
-            self.tracer = Tracer(splats) if self.actors is None else self.actors.tracer(splats)
-        unit, turned = self.frame.meters_per_unit, self.frame.rotation
-        clear = np.append(self.frame.up, MIRROR_CLEARANCE / unit)
-        return self.tracer.trace(
-            self.frame.to_capture(origin), direction @ turned, before / unit, pixel,
-            FIRST_SEGMENT / unit, clear, color_eye,
-        )  # fmt: skip

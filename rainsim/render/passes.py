@@ -6,7 +6,6 @@ import numpy as np
 
 from rainsim.particles import drop_radiance, paper
 from rainsim.reflection import water_pass
-from rainsim.reflection.ray_traced import traced_light
 from rainsim.reflection.water_pass import WetPicture
 from rainsim.render import layers
 from rainsim.render.frame import is_same
@@ -49,7 +48,7 @@ class Passes:
         shows = camera, scene.changes
         if not is_same(shows, self._mirrored):
             self._mirrors, self._mirrored = {}, shows
-        if not len(seen) or methods.reflections == "traced":
+        if not len(seen):
             return {}
         places = water_pass.shared_out(seen, methods.reflections, tops, view)[0]
         kept = self._mirrors
@@ -67,9 +66,6 @@ class Passes:
             return seen
         water_pass.tilt(seen, *ripples, tops)
         wet = WetPicture(picture, depth, clearance, view, None)
-        if methods.reflections == "traced":
-            traced_light(seen.record, wet.view, scene.traced, seen.light, seen.source)
-            return seen
         around = scene.sky.environment, scene.sky.gloss
         water_pass.light_up(
             seen, methods.reflections, wet, tops, mirrors.get, around,

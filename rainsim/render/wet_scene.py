@@ -27,7 +27,7 @@ from rainsim.shading.skyline import skylines
 from rainsim.shading.surface_depth import find_surface_depth
 from rainsim.shading.surface_point import GroundMaps
 from rainsim.shading.visibility import badly_placed, views_of_splats, without_shreds
-from rainsim.shading.wet_pass import NO_COVER, DryRays, dry_picture, grade_and_wet, grade_rays
+from rainsim.shading.wet_pass import NO_COVER, dry_picture, grade_and_wet
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import SkyMaps
 from rainsim.simulation import usual_wind
@@ -291,23 +291,6 @@ class WetScene:
         camera, layers = self.capture.mirrored_layers(camera, level, window, step)
         wet = self.wetted(layers, self.view_of(camera), mirrored=True)
         return wet.view, MirrorPicture(wet.picture, coarsened(wet.picture), wet.depth)
-
-    def traced(self, origin, direction, before, pixel, color_eye=None):
-        """Return the graded radiance, alpha and distance [m] of rays through the splats.
-
-        See `ray_traced.traced_light`.
-        """
-        found = self.capture.trace(origin, direction, before, pixel, color_eye)
-        unit, turn = self.frame.meters_per_unit, self.frame.rotation
-        rays = DryRays(
-            found.color, found.alpha, found.distance * np.float32(unit),
-            found.plane_distance * np.float32(unit),
-            np.ascontiguousarray(found.normal @ turn.T, np.float32),
-            (origin - before[:, None] * direction).astype(np.float32), direction,
-        )  # fmt: skip
-        light = np.empty_like(rays.color)
-        grade_rays(rays, *self._shading_of(True), light)
-        return light, found.alpha, rays.distance
 
     def view_of(self, camera):
         """Return the `View` of a camera of the capture frame."""

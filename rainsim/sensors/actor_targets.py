@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.reflection.ray_traced import Tracer
 from rainsim.sensors.lidar_model import PASSED
+from rainsim.sensors.ray_traced import Tracer
 from rainsim.splatting.prepared import SIGMAS
 
 WAY = 64  # times at which an actor's way in a turn is looked at, for the ball that it stays in

@@ -1,6 +1,6 @@
 """A lidar in the rain that the cameras see: beams through the splats, and the very same drops.
 
-Each beam is traced through the splats (`rainsim.reflection.ray_traced`), water mirrors or dims it,
+Each beam is traced through the splats (`rainsim.sensors.ray_traced`), water mirrors or dims it,
 and each drop of the field that is in the beam when the pulse passes may echo louder than what
 stands behind. What the rain between takes away is its mean extinction, as in LISA. Actors that move
 are where they are as each pulse passes.
@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rainsim.rain.moving_surfaces import MovingSurfaces
-from rainsim.reflection.ray_traced import Tracer
 from rainsim.sensors.actor_targets import ActorTarget
 from rainsim.sensors.lidar_model import (
     KEPT,
@@ -30,6 +29,7 @@ from rainsim.sensors.lidar_model import (
     fresnel_of,
 )
 from rainsim.sensors.near_drops import near_drops
+from rainsim.sensors.ray_traced import Tracer
 from rainsim.shading.color import LUMA, roughly_linear
 from rainsim.shading.surface_point import FLAT
 from rainsim.shading.wetting import wet_ratio

@@ -46,7 +46,7 @@ from rainsim.shading.lamp_images import (
     without_lamps,
 )
 from rainsim.shading.microfacet import LEAST_DIP, LOBE, SAMPLES, ground_reflectance, lobe_part
-from rainsim.splatting.coarse import merge_fine
+from rainsim.splatting.detail import merge_fine
 
 THIRD = np.float32(1 / 3)
 RESOLUTION = 160.0  # px per unit of tangent, of the level picture
@@ -332,7 +332,7 @@ class WetGroundMirror:
     def apart(self):
         """Whether the level picture may be drawn, so that the film's cover must be known."""
         named = self.config.film != "environment"
-        return named and self.config.reflections in ("auto", "mirror", "traced")
+        return named and self.config.reflections in ("auto", "mirror")
 
     def add_to(self, wet, cover, camera, draw_mirrored, environment):
         """Return a wet picture with the reflections in its wet ground.

@@ -4,7 +4,6 @@
 in chunks of CHUNK pixels and each chunk in passes over numbers that stay in cache. So all but the
 look-ups in maps runs in vectors, which takes a third of the time of one pixel after the other. Only
 the loops and the packing stand here; `tests/shading/test_grade.py` fails when the two differ.
-Rays are few and scattered: `grade_rays` calls `wet_pixel`.
 """
 
 from __future__ import annotations
@@ -34,7 +33,6 @@ from rainsim.shading.smooth_normals import (
     turned,
 )
 from rainsim.shading.surface_point import (
-    FLAT,
     GroundMaps,
     SurfacePoint,
     ground_share,
@@ -49,7 +47,6 @@ from rainsim.shading.wetting import (
     glossed,
     mirror_cover,
     rainy_color,
-    wet_pixel,
     wet_state,
     wetted_normal,
 )
@@ -87,18 +84,6 @@ class DryPicture(NamedTuple):
     around: np.float32  # m, of the neighbourhood whose normals count; 0: each pixel's own
 
 
-class DryRays(NamedTuple):
-    """Hits of rays through the splats; read-only. See `ray_traced.Traced`."""
-
-    color: np.ndarray  # (n, 3) float32, display-referred, over black
-    alpha: np.ndarray  # (n,) float32
-    distance: np.ndarray  # (n,) float32 [m], from the eye along the ray
-    plane_distance: np.ndarray  # (n,) float32 [m]
-    normal: np.ndarray  # (n, 3) float32, unit, ground frame
-    eye: np.ndarray  # (n, 3) float32 [m], ground frame
-    direction: np.ndarray  # (n, 3) float32, unit, ground frame
-
-
 def dry_picture(layers, meters_per_unit, mirrored=False, layer=ZERO):
     """Return the `DryPicture` of `raster.Layers` with depths in capture units.
 
@@ -109,40 +94,6 @@ def dry_picture(layers, meters_per_unit, mirrored=False, layer=ZERO):
         layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
         np.float32(meters_per_unit), NO_AROUND if mirrored else max(AROUND, np.float32(layer)),
     )  # fmt: skip
-
-
-@cpu_kernel
-def grade_rays(
-    rays: DryRays, ground: GroundMaps, rain: OffGroundWetness, sky: SkyMaps, look: Look, light_out
-):
-    """Grade and wet the hits of rays, as `grade_and_wet` does a picture.
-
-    Parameters
-    ----------
-    rays : DryRays
-    ground : GroundMaps
-    rain : OffGroundWetness
-    sky : SkyMaps
-    look : Look
-    light_out : ndarray of shape (n, 3), float32
-        Radiance.
-    """
-    color, alpha, normal, eye, direction = (
-        rays.color, rays.alpha, rays.normal, rays.eye, rays.direction
-    )  # fmt: skip
-    distance, plane_distance = rays.distance, rays.plane_distance
-    for n in prange(len(alpha)):
-        x, y, z = direction[n, 0], direction[n, 1], direction[n, 2]
-        d = plane_distance[n] if normal[n, 2] > FLAT else distance[n]
-        point = SurfacePoint(
-            eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
-            normal[n, 0], normal[n, 1], normal[n, 2], d,
-        )  # fmt: skip
-        r, g, b, _, _ = wet_pixel(
-            (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), point,
-            (normal[n, 0], normal[n, 1], normal[n, 2]), ground, rain, sky, look, False,
-        )  # fmt: skip
-        light_out[n, 0], light_out[n, 1], light_out[n, 2] = r, g, b
 
 
 @cpu_kernel

@@ -1,6 +1,6 @@
 """How water changes the look of a captured surface: formulas of darkening and gloss, and one pixel.
 
-`wet_pixel` puts the formulas together for one point: traced rays and CUDA threads call it. Its twin
+`wet_pixel` puts the formulas together for one point: CUDA threads and traced rays call it. Its twin
 is `wet_pass.grade_row`, which calls the same formulas in the same order for a chunk of pixels: who
 changes the order, or adds a step, changes both. `tests/shading/test_grade.py` fails when the two
 differ. Colours are linear light, radiance relative to display white; places and normals are in the

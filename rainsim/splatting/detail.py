@@ -2,10 +2,21 @@
 
 A splat finer than a pixel is widened to a pixel. Many of them in one pixel show too large, and each
 takes its time. Groups of neighbouring chunks are therefore kept at several levels. At each of them
-the splats that are finer than the cells of a grid are one for each cell and way that they face,
-with their moments and their light kept as in `rainsim.splatting.coarse`. A picture takes of each
-group the coarsest level whose cells are small enough in it, by the group's depth: which one depends
-on the camera, the size of the picture and the capture, never on the picture before.
+the splats that are finer than the cells of a grid are one for each cell and way that they face: a
+Gaussian of their mean, covariance and colour (moments are kept, as where mixtures are reduced;
+Runnalls 2007, IEEE Trans. Aerosp. Electron. Syst. 43(3)), each weighted by the light that it stops,
+and the new one stops as much: optical depth times area is kept. A picture takes of each group the
+coarsest level whose cells are small enough in it, by the group's depth: which one depends on the
+camera, the size of the picture and the capture, never on the picture before.
+
+An optical depth d e^-q at the place q stops 1 - exp(-d e^-q), which is flat in the middle where d
+is large, as in a wall. A Gaussian of opacity d / (2 ln 2), which blending bounds at one, stops a
+half at the same places. With no more than 1 - exp(-d) a wall of merged splats lets a third of the
+light through between them. Opacities above one are also what Kerbl et al. 2024 (A Hierarchical 3D
+Gaussian Representation, ACM Trans. Graph. 43(4)) give to merged splats.
+
+`coarsest_level` merges once, for pictures that need one level only: those in wet ground, and the
+chunks that big captures are cut into.
 """
 
 from __future__ import annotations
@@ -17,15 +28,25 @@ import numpy as np
 
 from rainsim.numerics.blocks import in_blocks
 from rainsim.splatting.level_kernels import (
-    GROUP,
     find_cells,
     measure_groups,
     merge_colors,
     merge_shapes,
 )
-from rainsim.splatting.prepared import GEOMETRY, LANES, NOBODY, boxes, recolor
+from rainsim.splatting.prepared import (
+    GEOMETRY,
+    LANES,
+    NOBODY,
+    OPACITY,
+    boxes,
+    by_splat,
+    laid_out,
+    recolor,
+)
 
 SIDES = tuple(0.01 * 2**k for k in range(7))  # m, of the cells of the levels
+GROUP = 8  # chunks whose level is chosen together
+WIDE = 64  # chunks of a group where one level is made: a leaf of a big capture
 COPIED = 128  # chunks that a thread copies at a time
 WORTH = 0.8  # of a group's splats at the level before: with more, a level is left out
 
@@ -66,6 +87,10 @@ class Detail:
         Without levels.
     sides : sequence of float [capture units]
         Of the cells of each level, ascending.
+    group : int
+        Chunks whose level is chosen together; a cell's splats are merged within them.
+    worth : float
+        A group has a level if it keeps at most this share of the splats of the level before.
 
     Attributes
     ----------
@@ -75,13 +100,14 @@ class Detail:
         leading chunks has no levels.
     """
 
-    def __init__(self, prepared, sides):
+    def __init__(self, prepared, sides, group=GROUP, worth=WORTH):
         n = len(prepared.box)
         self._leading = n if prepared.leading is None else prepared.leading
-        groups = -(-self._leading // GROUP)
+        self._size, self._worth = group, worth
+        groups = -(-self._leading // group)
         before, reach = np.empty(groups, np.int64), np.empty((groups, 6), np.float32)
         self._weight = np.empty(self._leading * LANES, np.float32)
-        measure_groups(prepared.geometry, self._leading, before, reach, self._weight)
+        measure_groups(prepared.geometry, self._leading, group, before, reach, self._weight)
         number = np.empty((len(sides), self._leading * LANES), np.int16)
         count = np.empty((len(sides), groups, 2), np.int64)
         self._levels = [
@@ -109,11 +135,34 @@ class Detail:
             leading=d.leading - first, span=None, reach=None,
         )  # fmt: skip
 
+    def coarsest(self):
+        """Return the splats of the last level alone, one for each row.
+
+        Returns
+        -------
+        rows : ndarray of shape (n, 13), float32
+            Geometry, as in `laid_out`.
+        values : ndarray of shape (n, 3 k), float32
+            Harmonics.
+        order : ndarray of shape (n,), int32
+            As in `drawn`.
+        merged : ndarray of shape (n,), bool
+            Whether each stands for several.
+        """
+        level, end = self._levels[-1], self._levels[-1].start[-1]  # it lies before the others
+        rows = by_splat(self.drawn.geometry[:end].reshape(-1, GEOMETRY, LANES))
+        lanes = LANES * np.diff(level.start)
+        place = np.arange(len(rows)) - LANES * np.repeat(level.start[:-1], lanes)
+        merged = place >= np.repeat(level.count[level.wanted, 0], lanes)
+        there = rows[:, OPACITY] > -np.inf
+        values, order = by_splat(self.drawn.harmonics(0, end)), self.drawn.order[: len(rows)]
+        return rows[there], values[there], order[there], merged[there]
+
     def _level(self, prepared, side, before, number, count):
         """Return a `Level`; `before`, splats of each group, becomes their number at the level."""
-        find_cells(prepared.geometry, self._leading, side, number, count)
+        find_cells(prepared.geometry, self._leading, self._size, side, number, count)
         total = count.sum(axis=1)
-        wanted = np.flatnonzero(total <= WORTH * before)
+        wanted = np.flatnonzero(total <= self._worth * np.maximum(before, 1))
         before[wanted] = total[wanted]
         start = np.concatenate([[0], np.cumsum(-(-total[wanted] // LANES))])
         return Level(side, number, count, wanted, start)
@@ -141,13 +190,14 @@ class Detail:
         for level, here in self._places():
             lanes = slice(here.start * LANES, here.stop * LANES)
             merge_shapes(
-                prepared.geometry, prepared.order, self._weight, leading, level.wanted,
-                level.number, level.count, level.start, geometry[here], order[lanes],
+                prepared.geometry, prepared.order, self._weight, leading, self._size,
+                level.wanted, level.number, level.count, level.start, geometry[here],
+                order[lanes],
             )  # fmt: skip
             span[here, 0], span[here, 1] = level.side, until[level.group]
             around[here] = reach[level.group]
             until[level.wanted] = level.side
-        own, base = np.arange(leading) // GROUP, slice(first, first + leading)
+        own, base = np.arange(leading) // self._size, slice(first, first + leading)
         span[first:, 1] = np.inf
         span[base, 1], around[base] = until[own], reach[own]
         boxes(geometry[:first].reshape(first, GEOMETRY, LANES), first * LANES, box[:first])
@@ -163,8 +213,8 @@ class Detail:
         for (level, here), row in zip(self._places(), place[::-1], strict=True):
             row[level.wanted] = here.start + level.start[:-1]
         merge_colors(
-            own.sh, own.fine, own.step, self._weight, self._leading, self._number, self._numbers,
-            place, drawn.sh, drawn.fine, drawn.step,
+            own.sh, own.fine, own.step, self._weight, self._leading, self._size, self._number,
+            self._numbers, place, drawn.sh, drawn.fine, drawn.step,
         )  # fmt: skip
 
 
@@ -177,3 +227,30 @@ def with_room(array, first):
 
     in_blocks(work, len(array), COPIED)
     return whole
+
+
+def coarsest_level(prepared, side):
+    """Return what `Detail.coarsest` does, merged at cells of one side [capture units]."""
+    return Detail(replace(prepared, leading=None), [side], WIDE, np.inf).coarsest()
+
+
+def merge_fine(prepared, side):
+    """Return prepared splats of which those finer than a cell are one a cell and way they face.
+
+    Parameters
+    ----------
+    prepared : PreparedSplats
+    side : float [capture units]
+        Of the cells. A splat is fine if the squares of its deviations along its three axes add up
+        to less than the square of it.
+
+    Returns
+    -------
+    PreparedSplats
+        `order` names one of the splats that each stands for.
+    """
+    if not len(prepared):
+        return prepared
+    rows, values, order, _ = coarsest_level(prepared, side)
+    found = laid_out(rows, values, np.arange(len(rows), dtype=np.int32), order)
+    return replace(found, compensate=prepared.compensate)

@@ -8,22 +8,20 @@ import numpy as np
 
 from rainsim.constants import ONE, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
-from rainsim.splatting.coarse import HALF_STOPPED
 from rainsim.splatting.prepared import GEOMETRY, LANES, LARGEST, OPACITY
 
-GROUP = 8  # chunks whose level is chosen together
 # Thinnest over middle deviation below which a splat faces somewhere. Not 0.3, which the blades of
 # the built-in lawn have: rounding would decide about each, and processors may round otherwise.
 FLAT = 0.31
 FAINT = np.float32(-20)  # log2 of the opacity up to which a splat is not merged
 ASIDE = 0.2  # share of a group's centres that its box leaves out on each side
-SLOT_BITS = 12
-SLOTS = 1 << SLOT_BITS  # of a group's table of cells: twice as many as it has splats
+CHUNK_SLOTS = 2 * LANES  # of a group's table of cells for each chunk: twice as many as splats
 CELLS = 1 << 19  # along an axis, on either side of the origin: a cell's key is one whole number
 MIX = np.uint64(0x9E3779B97F4A7C15)  # Knuth's multiplier for hashes, 2^64 over the golden ratio
-MIX_SHIFT = np.uint64(64 - SLOT_BITS)
+MIX_SHIFT = np.uint64(32)
 ALONE, NOTHING = -1, -2  # in place of a merged splat's number
 LEAST = np.float32(1e-30)
+HALF_STOPPED = 1 / (2 * math.log(2))  # opacity over optical depth, where a half is stopped
 TURNS, TILT = 3, 1e-3  # steps of inverse iteration, and what sets it going in any direction
 TINY = 1e-150  # its square is still a number
 
@@ -36,7 +34,7 @@ def area_of(xx, xy, xz, yy, yz, zz):
 
 
 @cpu_kernel
-def measure_groups(geometry, leading, count_out, reach_out, weight_out):
+def measure_groups(geometry, leading, size, count_out, reach_out, weight_out):
     """Count the splats of each group, write the box of most centres, and weigh each splat.
 
     Parameters
@@ -44,6 +42,8 @@ def measure_groups(geometry, leading, count_out, reach_out, weight_out):
     geometry : ndarray of shape (chunks, 13 * 256), float32
     leading : int
         Chunks that are looked at.
+    size : int
+        Chunks of a group.
     count_out : ndarray of shape (groups,), int64
     reach_out : ndarray of shape (groups, 6), float32 [capture units]
         The box leaves out a share `ASIDE` of the centres on each side.
@@ -51,9 +51,9 @@ def measure_groups(geometry, leading, count_out, reach_out, weight_out):
         Light that each splat stops: its opacity times a measure of its area.
     """
     for group in prange(len(count_out)):
-        place = np.empty((3, GROUP * LANES), np.float32)
+        place = np.empty((3, size * LANES), np.float32)
         count = 0
-        for chunk in range(group * GROUP, min(group * GROUP + GROUP, leading)):
+        for chunk in range(group * size, min(group * size + size, leading)):
             g = geometry[chunk]
             for i in range(LANES):
                 opacity = np.float32(2.0) ** g[OPACITY * LANES + i]
@@ -62,8 +62,8 @@ def measure_groups(geometry, leading, count_out, reach_out, weight_out):
                     g[7 * LANES + i], g[8 * LANES + i],
                 )  # fmt: skip
                 weight_out[chunk * LANES + i] = max(opacity * area, LEAST)
-                size = max(abs(g[i]), max(abs(g[LANES + i]), abs(g[2 * LANES + i])))
-                if opacity > ZERO and size < np.inf:
+                far = max(abs(g[i]), max(abs(g[LANES + i]), abs(g[2 * LANES + i])))
+                if opacity > ZERO and far < np.inf:
                     for k in range(3):
                         place[k, count] = g[k * LANES + i]
                     count += 1
@@ -76,7 +76,7 @@ def measure_groups(geometry, leading, count_out, reach_out, weight_out):
 
 
 @cpu_kernel
-def find_cells(geometry, leading, side, number_out, count_out):
+def find_cells(geometry, leading, size, side, number_out, count_out):
     """Number the cells of each group that hold several fine splats that face one way.
 
     Parameters
@@ -84,6 +84,8 @@ def find_cells(geometry, leading, side, number_out, count_out):
     geometry : ndarray of shape (chunks, 13 * 256), float32
     leading : int
         Chunks that are looked at.
+    size : int
+        Chunks of a group.
     side : float32 [capture units]
     number_out : ndarray of shape (256 leading,), int16
         Number of the merged splat in its group; ALONE for a splat that is kept, NOTHING for none.
@@ -91,9 +93,10 @@ def find_cells(geometry, leading, side, number_out, count_out):
         Splats that each group keeps, and merged ones.
     """
     for group in prange(len(count_out)):
-        key, slots = np.empty(SLOTS, np.int64), np.zeros(SLOTS, np.int64)
-        place = np.full(GROUP * LANES, np.int64(NOTHING))
-        first, end = group * GROUP, min(group * GROUP + GROUP, leading)
+        many = size * CHUNK_SLOTS
+        key, slots = np.empty(many, np.int64), np.zeros(many, np.int64)
+        place = np.full(size * LANES, np.int64(NOTHING))
+        first, end = group * size, min(group * size + size, leading)
         kept = 0
         for chunk in range(first, end):
             g = geometry[chunk]
@@ -105,9 +108,9 @@ def find_cells(geometry, leading, side, number_out, count_out):
                 this = cell_key(g, i, side)
                 if this < 0:
                     continue
-                slot = np.int64((np.uint64(this) * MIX) >> MIX_SHIFT)
+                slot = np.int64((np.uint64(this) * MIX) >> MIX_SHIFT) % many
                 while slots[slot] > 0 and key[slot] != this:
-                    slot = (slot + 1) % SLOTS
+                    slot = (slot + 1) % many
                 key[slot] = this
                 slots[slot] += 1
                 place[o] = slot
@@ -172,7 +175,7 @@ def row_of(number, kept, at):
 
 @cpu_kernel
 def merge_shapes(
-    geometry, order, weight, leading, wanted, number, count, start, geometry_out, order_out
+    geometry, order, weight, leading, size, wanted, number, count, start, geometry_out, order_out
 ):  # fmt: skip
     """Write the splats of a level: of each wanted group those that it keeps, then the merged ones.
 
@@ -181,7 +184,7 @@ def merge_shapes(
     geometry, order : ndarray
         See `prepared.PreparedSplats`.
     weight : ndarray of shape (256 leading,), float32
-    leading : int
+    leading, size : int
     wanted, number, count, start : ndarray
         See `detail.Level`.
     geometry_out : ndarray of shape (chunks, 13 * 256), float32
@@ -195,7 +198,7 @@ def merge_shapes(
         total, origin = np.zeros(kept + merged, np.float64), np.zeros((kept + merged, 3))
         member = np.empty(kept + merged, np.int32)
         at = np.int64(0)
-        for o in range(group * GROUP * LANES, min((group + 1) * GROUP, leading) * LANES):
+        for o in range(group * size * LANES, min((group + 1) * size, leading) * LANES):
             n = row_of(number[o], kept, at)
             if n < 0:
                 continue
@@ -228,7 +231,7 @@ def merge_shapes(
 
 @cpu_kernel
 def merge_colors(
-    sh, fine, step, weight, leading, number, count, place, sh_out, fine_out, step_out
+    sh, fine, step, weight, leading, size, number, count, place, sh_out, fine_out, step_out
 ):  # fmt: skip
     """Write the harmonics of the splats of all levels, in the order of `merge_shapes`.
 
@@ -237,7 +240,7 @@ def merge_colors(
     sh, fine, step : ndarray
         See `prepared.PreparedSplats`.
     weight : ndarray of shape (256 leading,), float32
-    leading : int
+    leading, size : int
     number : ndarray of shape (levels, 256 leading), int16
     count : ndarray of shape (levels, groups, 2), int64
         As `find_cells` writes them.
@@ -248,7 +251,7 @@ def merge_colors(
     """
     coarse, more = sh.shape[1] // LANES, step.shape[1]
     for group in prange(count.shape[1]):
-        first, end = group * GROUP, min((group + 1) * GROUP, leading)
+        first, end = group * size, min((group + 1) * size, leading)
         splats = (end - first) * LANES
         # One row a splat: what is merged is then added up in vectors.
         value = np.empty((splats, coarse + more), np.float32)
@@ -364,7 +367,7 @@ def add_to_row(g, i, weight, origin, row):
 def finish_row(row, origin, total):
     """Turn the sums of a merged splat into its place, covariance, normal and log2 opacity.
 
-    Optical depth times area is kept; `rainsim.splatting.coarse` explains the opacity.
+    Optical depth times area is kept; `rainsim.splatting.detail` explains the opacity.
     """
     share = 1 / total
     for k in range(9):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.traced import trace_reflections
 from made_actors import described
 from rainsim import pipeline
 from rainsim.actors.actor import Actor, ColorSeries, box_of, scene_at, with_actors
@@ -332,11 +333,11 @@ def test_flow_of_an_actors_pixels_is_that_of_its_points(scene, shot, camera):
 def test_the_mirror_image_lies_where_the_traced_one_does(scene, ground, states, camera):
     calm, light = CONFIG.replace(rate=0.0), {}
     state = replace(states[BEHIND], slopes=np.zeros_like(states[BEHIND].slopes))
-    for name, one, config in (
-        ("mirror", scene, calm), ("traced", scene, calm.replace(reflections="traced")),
-        ("without", replace(scene, actors=()), calm),
-    ):  # fmt: skip
-        renderer = Renderer(one, replace(ground, footprints=()), config, camera)
+    bare = replace(scene, actors=())
+    for name, one in (("mirror", scene), ("traced", scene), ("without", bare)):
+        renderer = Renderer(one, replace(ground, footprints=()), calm, camera)
+        if name == "traced":
+            trace_reflections(renderer)
         _, report = renderer.draw(camera, state, None, ("reflection", "coverage"))
         light[name], water = report.aovs["reflection"], report.aovs["coverage"] > 0.5
     image = water & (np.abs(light["traced"] - light["without"]).max(axis=-1) > 0.05)

@@ -87,7 +87,7 @@ def test_rain_wets_and_darkens_the_ground(scene, camera):
     assert metered[lower].mean() > wet[lower].mean()
 
 
-@pytest.mark.parametrize("reflections", ["mirror", "ssr", "traced", "paper"])
+@pytest.mark.parametrize("reflections", ["mirror", "ssr", "paper"])
 def test_water_shows_only_where_it_stands(scene, camera, reflections):
     dry, _ = frame(scene, camera, rate=0.0, past=2e-3, reflections=reflections)
     flood, _ = frame(scene, camera, rate=0.0, past=2e-3, level=0.03, reflections=reflections)
@@ -98,9 +98,7 @@ def test_water_shows_only_where_it_stands(scene, camera, reflections):
 def test_march_and_mirror_tell_much_the_same(scene, camera):
     mirror, _ = frame(scene, camera, rate=0.0, level=0.03, reflections="mirror")
     march, _ = frame(scene, camera, rate=0.0, level=0.03, reflections="ssr")
-    traced, _ = frame(scene, camera, rate=0.0, level=0.03, reflections="traced")
     assert decibel(mirror, march) > 25
-    assert decibel(mirror, traced) > 35
     assert (mirror != march).any()
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import rainsim.scene.pages
 from made_captures import random_splats
@@ -20,7 +21,7 @@ from rainsim.lod import cut as cutting
 from rainsim.lod.cut import cut
 from rainsim.lod.held_parts import finest_near, scene_over
 from rainsim.lod.levels import chosen_levels, levels_of, pixels_per_unit
-from rainsim.lod.merge import cells_of, covariances, merged_splats, reach_box
+from rainsim.lod.merge import merged_splats, reach_box
 from rainsim.lod.numbers import FinestNumbers
 from rainsim.lod.paged import Page, PagedRasterizer, rasterizer_of_scene
 from rainsim.lod.room import ChunkRoom, Stored
@@ -40,7 +41,7 @@ from rainsim.sensors import drive
 from rainsim.sensors.lidar_model import Lidar
 from rainsim.shading.lamp_images import scaled
 from rainsim.shading.wet_ground_mirror import RESOLUTION, level_camera
-from rainsim.splatting.coarse import _area
+from rainsim.splatting.level_kernels import area_of
 from rainsim.splatting.prepared import NOBODY
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.types import Grid
@@ -289,40 +290,51 @@ def test_chunks_that_do_not_fit_the_index_are_refused(small, tmp_path):
 # --- levels ---------------------------------------------------------------------------------------
 
 
+def covariances(splats):
+    """Return the covariances (n, 3, 3) of splats."""
+    turn = Rotation.from_quat(splats.rotation[:, [1, 2, 3, 0]]).as_matrix() * splats.scale[:, None]
+    return np.einsum("nij,nkj->nik", turn, turn)
+
+
 def test_merging_keeps_moments_and_what_is_wide(rng):
+    """Over each cell: whichever way its splats face, their sums are those of the merged ones."""
     splats = random_splats(4000, 4, 1)
     splats.scale[:] = splats.scale.clip(1e-3, 0.4)
     side = 0.5
-    group = cells_of(splats, side)
     merged = merged_splats(splats, side)
-    kept = group < 0
-    cells = len(merged) - int(kept.sum())
-    assert cells == group.max() + 1 < (~kept).sum()  # some were merged
+    kept = np.isin(splats.position[:, 0], merged.position[:, 0])
+    alone = kept.sum()
+    assert 0 < alone < len(merged) < 0.8 * len(splats)
     for name in NAMES:
-        same = getattr(merged, name)[: kept.sum()]
-        assert (same == getattr(splats, name)[kept]).all()
+        assert (getattr(merged, name)[:alone] == getattr(splats, name)[kept]).all()
     assert (np.square(splats.scale[~kept]).sum(axis=1) < side**2).all()
-    cell = np.floor(splats.position[~kept] / side)
-    own, theirs, number = covariances(splats), covariances(merged), merged.position[kept.sum() :]
-    opacity = merged.opacity[kept.sum() :].astype(float)
+    own, theirs = covariances(splats)[~kept], covariances(merged)[alone:]
+    few, made = splats.take(~kept), merged.take(np.arange(len(merged)) >= alone)
+
+    def weights(some, covariance, depth):
+        xx, xy, xz, _, yy, yz, _, _, zz = covariance.reshape(-1, 9).astype(float).T
+        return depth * np.array([area_of(*row) for row in zip(xx, xy, xz, yy, yz, zz, strict=True)])
+
+    opacity = made.opacity.astype(float)
     depth = np.where(opacity < 0.5, -np.log1p(-opacity.clip(0, 0.5)), 2 * np.log(2) * opacity)
-    for k in rng.integers(0, cells, 60):
-        among = np.flatnonzero(group == k)
-        assert (cell[group[~kept] == k] == cell[group[~kept] == k][0]).all()
-        weight = splats.opacity[among] * _area(own[among])
-        share = weight / weight.sum()
-        mean = share @ splats.position[among]
-        np.testing.assert_allclose(number[k], mean, atol=1e-4)
-        away = splats.position[among] - mean
-        spread = np.einsum("n,ni,nj->ij", share, away, away)
-        pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-        whole = share @ own[among] + [spread[i, j] for i, j in pairs]
-        np.testing.assert_allclose(theirs[kept.sum() + k], whole, atol=2e-4)
-        sh = np.einsum("n,nkc->kc", share, splats.sh[among])
-        np.testing.assert_allclose(merged.sh[kept.sum() + k], sh, atol=1e-3)
-        if opacity[k] < 1:  # where no more fits into an opacity, it is bounded
-            light = depth[k] * _area(theirs[kept.sum() + k][None])[0]
-            np.testing.assert_allclose(light, weight.sum(), rtol=0.02)
+    weight, sums = weights(few, own, few.opacity), weights(made, theirs, depth)
+    cell, place = (np.floor(s.position / np.float32(side)) @ (1, 1e3, 1e6) for s in (few, made))
+    bounded = np.isin(place, place[opacity >= 1])  # where no more fits into an opacity
+    for k in rng.permutation(np.unique(place[~bounded]))[:60]:
+        among, those = cell == k, place == k
+        w, m = weight[among], sums[those]
+        np.testing.assert_allclose(m.sum(), w.sum(), rtol=0.02)
+        np.testing.assert_allclose(
+            m @ made.position[those] / m.sum(), w @ few.position[among] / w.sum(), atol=5e-3
+        )
+        second = [np.einsum("n,nij->ij", a, c) + np.einsum("n,ni,nj->ij", a, x, x) for a, c, x in (
+            (m, theirs[those], made.position[those]), (w, own[among], few.position[among])
+        )]  # fmt: skip
+        np.testing.assert_allclose(second[0] / m.sum(), second[1] / w.sum(), atol=0.02)
+        mean = [np.einsum("n,nkc->kc", a, s) / a.sum() for a, s in (
+            (m, made.sh[those]), (w, few.sh[among])
+        )]  # fmt: skip
+        np.testing.assert_allclose(*mean, atol=0.02)
 
 
 def test_a_cut_holds_every_splat_once_and_levels_get_coarser(whole, folder, big):

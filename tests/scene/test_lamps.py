@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from benchmarks.traced import trace_reflections
 from rainsim.actors.actor_files import read_actors
 from rainsim.config.settings import Config
 from rainsim.constants import SH_0
@@ -149,9 +150,10 @@ def test_the_image_of_a_lamp_in_the_water_is_that_of_traced_rays(dusk):
     """As it is shown: with the meter's factor and the tone curve."""
     scenes, terrain, state, camera, config = dusk
     light = {}
-    for name, scene, way in (("mirror", scenes[1], "mirror"), ("traced", scenes[1], "traced"),
-                             ("clipped", scenes[0], "traced")):  # fmt: skip
-        renderer = Renderer(scene, terrain, config.replace(reflections=way), camera)
+    for name, scene in (("mirror", scenes[1]), ("traced", scenes[1]), ("clipped", scenes[0])):
+        renderer = Renderer(scene, terrain, config.replace(reflections="mirror"), camera)
+        if name != "mirror":
+            trace_reflections(renderer)
         _, report = renderer.draw(camera, state, None, ("reflection", "coverage"))
         radiance = report.aovs["reflection"] * np.float32(renderer.conductor.brightness)
         light[name] = np.vectorize(tone_curve)(radiance.astype(np.float32))

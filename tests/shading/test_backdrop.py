@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import factories
+from benchmarks.traced import RayScene
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.render import aov
@@ -74,7 +75,9 @@ def test_a_leaf_is_mixed_with_the_sky_of_the_day(scene, dull, monkeypatch):
     np.testing.assert_allclose(renderer.wet.picture[middle], wanted, rtol=0.03)
     # A ray that is traced sees the same.
     eye = np.array([[0, 0, 1]], np.float32)
-    light, alpha, _ = renderer.conductor.wet_scene.traced(eye, RAY[None], np.zeros(1), 0.01)
+    light, alpha, _ = RayScene(renderer.conductor.wet_scene).trace(
+        eye, RAY[None], np.zeros(1), 0.01
+    )
     assert alpha[0] == pytest.approx(0.5, abs=0.02)
     np.testing.assert_allclose(light[0], wanted, rtol=0.05)
     # Laid over the captured sky it is not: that one has lent the leaf's edge its light.

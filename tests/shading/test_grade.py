@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import factories
+from benchmarks import traced
 from rainsim.constants import FAR_AWAY, SURFACE_ALPHA
 from rainsim.numerics import pixel_batches
 from rainsim.numerics.interpolation import bilinear, map_place
@@ -164,13 +165,13 @@ def test_rays_are_graded_as_pixels_are(dry, scene, poisoned):
     direction = np.stack(pixel_ray(VIEW, v.ravel(), u.ravel()), -1).astype(F4)
     length = np.linalg.norm(direction, axis=-1)
     distance = picture.depth.ravel() * UNIT * length
-    rays = wet_pass.DryRays(
+    rays = traced.DryRays(
         picture.color.reshape(-1, 3), picture.alpha.ravel(), distance, distance,
         (picture.normal.reshape(-1, 3) @ TURN.T).astype(F4), np.tile(EYE, (len(direction), 1)),
         direction / length[:, None],
     )  # fmt: skip
     light = poisoned((len(direction), 3))
-    wet_pass.grade_rays(rays, *scene, look, light)
+    traced.grade_rays(rays, *scene, look, light)
     np.testing.assert_allclose(light, found.reshape(-1, 3), rtol=1e-4, atol=2e-5)
 
 

@@ -6,7 +6,7 @@ import pytest
 import made_captures
 from rainsim import raster
 from rainsim.scene.types import Camera, Splats
-from rainsim.splatting.coarse import merge_fine
+from rainsim.splatting.detail import merge_fine
 from rainsim.splatting.prepared import OPACITY, by_splat
 
 SIDE = 0.2
@@ -23,7 +23,7 @@ def rows_of(prepared):
 def test_moments_and_stopped_light_are_kept():
     fine = leaves(4000)
     merged = merge_fine(fine, SIDE)
-    assert 300 < len(merged) < 700  # cells of the 10 x 10 x 5, and the wall
+    assert 900 < len(merged) < 1600  # cells of the 10 x 10 x 5, three ways to face, and the wall
     before, after = rows_of(fine), rows_of(merged)
     assert np.isfinite(after).all() and (after[:, OPACITY] < 3).all()
     large = before[:, 3] > 1
@@ -38,7 +38,7 @@ def test_moments_and_stopped_light_are_kept():
         opacity = np.exp2(rows[:, OPACITY])
         thin = -np.log1p(-opacity.clip(0, 0.5))  # what a merged splat's optical depth was
         depth = np.where(opacity < 0.5, thin, 2 * np.log(2) * opacity)
-        depth = opacity if len(rows) > 2000 else depth
+        depth = np.where(np.isin(rows[:, 0], before[:, 0]), opacity, depth)  # alone in its cell
         weight = depth * np.sqrt(minors)
         mean = (weight[:, None] * rows[:, :3]).sum(0) / weight.sum()
         square = rows[:, [3, 6, 8]] + rows[:, :3] ** 2
@@ -78,10 +78,13 @@ def test_what_is_not_fine_or_has_no_number_stays():
 
 
 @pytest.mark.parametrize("side", [0.1, 0.4])
-def test_each_cell_keeps_one(side):
+def test_each_cell_keeps_one_for_each_way_to_face(side):
     fine = leaves(2000)
     merged = merge_fine(fine, side)
-    place = rows_of(fine)[:, :3]
-    cells = {tuple(c) for c in np.floor(place[place[:, 2] < 5] / np.float32(side)).astype(int)}
+    rows = rows_of(fine)
+    leaf = rows[rows[:, 2] < 5]
+    facing = np.abs(leaf[:, 9:12]).argmax(axis=1)
+    cell = np.floor(leaf[:, :3] / np.float32(side)).astype(int)
+    cells = {(*c, f) for c, f in zip(cell, facing, strict=True)}
     assert len(merged) == len(cells) + 1
     assert len(np.unique(merged.order)) == len(merged)

@@ -5,8 +5,8 @@ import pytest
 
 import factories
 from rainsim.raster import prepare, rasterize
-from rainsim.reflection.ray_traced import Tracer
 from rainsim.scene.types import Camera
+from rainsim.sensors.ray_traced import Tracer
 
 
 def splats(position, scale, opacity, color, rotation=(1, 0, 0, 0)):

@@ -1,4 +1,4 @@
-"""Rays through the splats themselves: slow and right, the truth for every other reflection.
+"""Rays through the splats themselves: beams of the lidar.
 
 A ray blends the splats that it meets front to back by the rules of the picture (`raster`): a
 splat's alpha is its opacity times its Gaussian at the ray, capped at 0.999 and left out under
@@ -7,8 +7,6 @@ of 1e-4 is left out. The Gaussian at a ray is the splat's projection along it, w
 greatest value on the ray (3DGRT, Moenne-Loccoz et al. 2024, ACM TOG 43(6), eq. 8), widened by 0.3
 pixels^2 at the distance where it stands, as the picture does. What differs from the picture is that
 each ray projects on its own, where the picture takes one projection for all pixels of a splat.
-
-`Tracer` traces any rays; `traced_light` traces those that listed water mirrors.
 """
 
 from __future__ import annotations
@@ -22,12 +20,6 @@ import numpy as np
 from rainsim.constants import FOUR, HALF, ONE, SH_0, SH_1, SH_2, SH_3, THREE, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, lean_function, prange
 from rainsim.numerics.bvh import LEAST_ALPHA, RECORD, build, lay_out
-from rainsim.reflection import water_record
-from rainsim.reflection.facets import LEAST_VARIANCE, SAMPLES, light_weight
-from rainsim.reflection.mirrored_rays import ENVIRONMENT, TRACED, sample_ray
-from rainsim.reflection.slope_moments import root_of
-from rainsim.reflection.water_record import read_record
-from rainsim.scene.view import View, camera_component
 
 MAX_ALPHA = np.float32(0.999)
 TRANSMITTANCE_STOP = np.float32(1e-4)
@@ -396,73 +388,3 @@ def shaded(sh, c, bands, x, y, z):
             value += SH3D * z * (TWO * zz - THREE * xx - THREE * yy) * sh[36 + c]
             value += SH3E * z * (xx - yy) * sh[42 + c] - SH3A * x * (xx - THREE * yy) * sh[45 + c]
     return max(value, ZERO)
-
-
-def traced_light(record, view, trace, light_out, source_out):
-    """Trace the mirrored light of every record through the splats.
-
-    Parameters
-    ----------
-    record : ndarray of shape (n, RECORD), float32
-    view : View
-    trace : callable
-        trace(origin [m], direction, before [m], pixel) returns radiance (k, 3), alpha (k,) and
-        distance (k,) [m] from the eye of rays in the ground frame; `pixel` is the width of a pixel
-        over the distance.
-    light_out : ndarray of shape (n, 3), float32
-        Radiance that comes to the surface, before it is multiplied by the reflectance.
-    source_out : ndarray of shape (n,), uint8
-        TRACED, or ENVIRONMENT where the ray of the mean slopes met little.
-
-    Returns
-    -------
-    alpha : ndarray of shape (n,), float32
-    end : ndarray of shape (n, 3), float32 [m]
-        Where the rays of the mean slopes end.
-    """
-    alpha_of, end, total = None, None, None
-    variance = record[:, water_record.VARIANCE_X] + record[:, water_record.VARIANCE_Y]
-    smooth = variance < LEAST_VARIANCE
-    for sample in range(SAMPLES):
-        which = np.flatnonzero(~smooth) if sample else np.arange(len(record))
-        direction = np.empty((len(which), 3), np.float32)
-        before, weight = np.empty((2, len(which)), np.float32)
-        mirror_rays(which, record, view, sample, direction, before, weight)
-        pixel = record[which, water_record.VIEW_DEPTH] / before / view.fx
-        point = record[:, water_record.POINT]
-        light, alpha, distance = trace(point[which], direction, before, pixel)
-        if sample:
-            light_out[which] += weight[:, None] * light
-            total[which] += weight
-        else:
-            light_out[:], total = weight[:, None] * light, weight
-            alpha_of = alpha
-            end = point + (distance - before)[:, None] * direction
-            source_out[:] = np.where(alpha > HALF, TRACED, ENVIRONMENT)
-    light_out /= total[:, None]
-    return alpha_of, end
-
-
-@cpu_kernel
-def mirror_rays(which, record, view: View, sample, direction_out, before_out, weight_out):
-    """Write the mirrored ray of each record in `which`, for one of the SAMPLES slopes.
-
-    Parameters
-    ----------
-    sample : int
-        Number of the slope; 0 is the mean of the pixel's.
-    direction_out : ndarray of shape (k, 3), float32
-        Unit, ground frame.
-    before_out : ndarray of shape (k,), float32 [m]
-        Way from the eye to the water.
-    weight_out : ndarray of shape (k,), float32
-        Of the ray in the light, see `facets.light_weight`.
-    """
-    for k in prange(len(which)):
-        water = read_record(record, which[k])
-        a, b, c = root_of(water.variance_x, water.variance_y, water.covariance)
-        rx, ry, rz = sample_ray(water, a, b, c, sample)
-        direction_out[k, 0], direction_out[k, 1], direction_out[k, 2] = rx, ry, rz
-        ahead = camera_component(view, 2, water.view_x, water.view_y, water.view_z)
-        before_out[k] = water.view_depth / ahead
-        weight_out[k] = light_weight(water, a, b, c, sample)
