@@ -3,7 +3,7 @@
 The built-in street's middle is repeated along its length and cut into chunks at several levels of
 detail. Rainy frames at some places are compared with the same frames of all splats, over the
 threshold that decides how fine each part is drawn. Stretches of a drive show whether time and
-memory stay as they are along the way. The ground is that of windows along the path.
+memory stay as they are along the way. The ground is that of legs along the path.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ from rainsim.scene.harmonics import BANDS, turned
 from rainsim.scene.library import load_scene
 from rainsim.scene.splat_sets import joined, own_turns
 from rainsim.scene.types import Scene
-from rainsim.simulation import simulate, steady_water, widened
-from rainsim.terrain.path_ground import part_of
+from rainsim.simulation import simulate
 
 PRESET = "moderate"
 MIDDLE = 0.0, 16.0  # m of the built-in street that are repeated: where it is densest
@@ -45,7 +44,7 @@ WIDTH = {False: 648, True: 96}  # px
 SPEED, FPS = 10.0, 24.0  # m/s, 1/s: of the drive
 NEXT = 1 / FPS  # s from a frame to the next
 APART = 5.0  # m between the cameras that the capture is said to have
-SPACING = {False: 0.02, True: 0.1}  # m, of the windows' cells
+SPACING = {False: 0.02, True: 0.1}  # m, of the legs' cells
 STRETCHES, BEFORE, STRETCH = {False: 4, True: 1}, 32, 40  # of the drive; their frames
 AWAY = 4.0  # m from either end of the street that the drive keeps
 AHEAD = 4  # frames
@@ -75,7 +74,7 @@ def run(quick=False, say=quiet, length=None, folder=None, whole=False):
         )  # fmt: skip
         begin = time.process_time()
         ground = pipeline.ground_of(scene, config, path)
-        facts["windows"], facts["ground"] = len(ground.stations), time.process_time() - begin
+        facts["legs"], facts["ground"] = len(ground.legs), time.process_time() - begin
         if whole:
             return lod_whole.result_of(scene, ground, path, config, facts, say)
         del scene
@@ -162,16 +161,16 @@ def _bytes(folder):
 def measure_drive(folder, length, ground, path, config, stretches, say=quiet):
     """Return a row for each frame of some stretches of a drive, each drawn once, in order.
 
-    In each stretch windows of the ground begin, made while the frames before are drawn; its first
-    frame begins one, too, since the drive does not come to it from before.
+    In each stretch a leg of the drive begins; its first frame begins one, too, since the drive does
+    not come to it from before.
     """
     scene = long_street(folder, length)
-    pages, stations = scene.pages, ground.stations
+    pages, legs = scene.pages, ground.legs
     sequence, rows = pipeline.FrameSequence(scene, ground, path, config), []
-    chosen = np.linspace(0, len(stations) - 1, stretches + 2).astype(int)[1:-1]
-    begins = {station.first for station in stations}
+    chosen = np.linspace(0, len(legs) - 1, stretches + 2).astype(int)[1:-1]
+    begins = {leg.first for leg in legs}
     for n in chosen:
-        start = max(stations[n].first - BEFORE, 0)
+        start = max(legs[n].first - BEFORE, 0)
         frames = sequence.frames(range(start, min(start + STRETCH, len(path))))
         begin, cpu, made = time.perf_counter(), time.process_time(), _made(pages)
         for picture, report in frames:
@@ -181,7 +180,7 @@ def measure_drive(folder, length, ground, path, config, stretches, say=quiet):
                 rows[-1]["picture"] = None
             rows.append({
                 "frame": index, "x": float(x), "jump": index == start,
-                "window": index in begins, "picture": picture,
+                "leg": index in begins, "picture": picture,
                 "ms": (time.perf_counter() - begin) * 1e3,
                 "cpu_ms": (time.process_time() - cpu) * 1e3, "kept": pages.kept.size,
                 "read": _made(pages) - made, "resident": resident(), "peak": peak(),
@@ -205,19 +204,15 @@ def is_same_alone(folder, length, ground, path, config, rows):
 
 
 def places_of(folder, length, ground, path, config, count):
-    """Return some places of a drive: camera, ground as `take_ground` takes it, and `SimState`."""
+    """Return some places of a drive: camera, `Terrain` of its leg, and `SimState`."""
     scene, found = long_street(folder, length), []
-    for n in np.linspace(0, len(ground.stations) - 1, count + 2).astype(int)[1:-1]:
-        station = ground.stations[n]
-        around = ground.around(scene, station)
-        about = ground.about(around.grid)
-        begin = steady_water(around, config, station.start(config), about)
-        within = part_of(around, station.window)
-        for state in simulate(within, config, begin=begin.within(station.window)):
-            if state.index >= config.moment(station.first):
+    for n in np.linspace(0, len(ground.legs) - 1, count + 2).astype(int)[1:-1]:
+        leg = ground.legs[n]
+        terrain = ground.terrain(scene, leg)
+        for state in simulate(terrain, config, first=leg.start(config)):
+            if state.index >= config.moment(leg.first):
                 break
-        state = widened(state, station.window, begin.depth.astype(np.float32))
-        found.append((path[station.first], (around, begin.exposure), state))
+        found.append((path[leg.first], terrain, state))
     return found
 
 
@@ -231,8 +226,8 @@ def measure_details(folder, length, ground, places, config, details, say=quiet):
         frame = scene.ground_frame
         renderer = Renderer(scene, ground.overview, settings, places[0][0])
         shown, splats, cpu = [], [], []
-        for camera, around, state in places:
-            renderer.conductor.take_ground(renderer.conductor.ready_ground(*around, config))
+        for camera, terrain, state in places:
+            renderer.conductor.take_ground(lambda made=terrain: made)
             renderer.draw(camera, state)  # reads what it needs
             pair = []
             for shift in (0.0, SPEED * NEXT):
@@ -266,7 +261,7 @@ def measure_alone(folder, length, ground, places, config, frames, say=quiet):
     scene, rows = long_street(folder, length), []
     frame = scene.ground_frame
     paged = Renderer(scene, ground.overview, config, places[0][0])
-    for first, around, state in places:
+    for first, terrain, state in places:
         cameras = [ahead(frame, first, k * SPEED * NEXT) for k in range(frames)]
         runs, drawn = {}, paged.conductor.wet_scene.capture.paged.whole
         for camera in cameras:
@@ -277,7 +272,7 @@ def measure_alone(folder, length, ground, places, config, frames, say=quiet):
         alone = Renderer(whole, ground.overview, config, first)
         cpu = {paged: [], alone: []}
         for renderer in cpu:
-            renderer.conductor.take_ground(renderer.conductor.ready_ground(*around, config))
+            renderer.conductor.take_ground(lambda made=terrain: made)
             renderer.draw(ahead(frame, first, -SPEED * NEXT), state)  # reads what it needs
         for k, camera in enumerate(cameras):
             for renderer in cpu:
@@ -347,20 +342,20 @@ def table(result):
             f"{row['cpu_ms']:.0f}", f"{row['kept'] / 1e6:.0f}", f"{row['flicker']:+.1%}",
         ))  # fmt: skip
     drive, made = result["drive"], result["cut"]
-    own = [row["cpu_ms"] for row in drive if not row["jump"] and not row["window"]]
-    begun = [row["cpu_ms"] for row in drive if row["window"]]
+    own = [row["cpu_ms"] for row in drive if not row["jump"] and not row["leg"]]
+    begun = [row["cpu_ms"] for row in drive if row["leg"]]
     jumps = [row["cpu_ms"] for row in drive if row["jump"]]
     return "\n".join([
         *markdown(("threshold [px]", "dB, median", "worst", "splats", "ms of processors",
                    "pages [MB]", "frame to frame"), cells), "",
         f"the last frame by itself: {'the same bytes' if made['same'] else 'OTHER BYTES'}",
         f"{made['splats']} splats on {made['length']:.0f} m, {made['bytes'] / 1e6:.0f} MB; "
-        f"{made['windows']} windows",
+        f"{made['legs']} legs",
         f"set-up: {made['ground']:.1f} s of processors for the ground, then {jumps[0] / 1e3:.1f} s "
         f"to the first frame; {np.median(jumps[1:] or jumps) / 1e3:.1f} s after a jump",
         f"drive of {len(drive)} frames: {min(own):.0f} to {max(own):.0f} ms of processors, "
         f"{np.median(own):.0f} in the median; {min(begun) / 1e3:.1f} to {max(begun) / 1e3:.1f} s "
-        "where a window begins",
+        "where a leg begins",
         f"{min(row['resident'] for row in drive) / 1e9:.2f} to "
         f"{max(row['resident'] for row in drive) / 1e9:.2f} GB after a frame, "
         f"{drive[-1]['peak'] / 1e9:.2f} GB at most",
@@ -405,8 +400,8 @@ def draw(result, path):
             axes[1].annotate("default", (row["cpu_ms"], row["median_db"]), xytext=(6, -10),
                              textcoords="offset points", fontsize=8)  # fmt: skip
     drive = [row for row in result["drive"] if not row["jump"]]
-    for which, n, label in ((False, 0, "frames"), (True, 2, "that begin a window")):
-        shown = [row for row in drive if row["window"] == which]
+    for which, n, label in ((False, 0, "frames"), (True, 2, "that begin a leg")):
+        shown = [row for row in drive if row["leg"] == which]
         axes[2].semilogy([row["x"] for row in shown], [row["cpu_ms"] for row in shown], ls="",
                          color=COLORS[n], marker=MARKERS[n], ms=4, label=label)  # fmt: skip
     axes[2].set(xlabel="m along the street", ylabel="ms of processors", ylim=(100, 3e4))

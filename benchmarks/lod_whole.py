@@ -1,6 +1,6 @@
 """`benchmarks lod --whole`: a drive from one end of a long street to the other, without a gap.
 
-Time and memory of each frame, the windows of the ground that are made meanwhile included. The most
+Time and memory of each frame, the legs' maps included. The most
 that the process held is counted for each frame by itself, so that the table says where it was.
 """
 
@@ -25,14 +25,14 @@ def measure_whole(scene, ground, path, config, say=quiet):
     The scene is in chunks; `path` has a camera for each frame.
     """
     sequence, rows, pages = pipeline.FrameSequence(scene, ground, path, config), [], scene.pages
-    begins = {-(-station.first // EVERY) * EVERY for station in ground.stations}
+    begins = {-(-leg.first // EVERY) * EVERY for leg in ground.legs}
     before, made = (time.perf_counter(), time.process_time()), 0
     forget_peak()
     for _, report in sequence.frames(range(0, len(path), EVERY)):
         x = scene.ground_frame.to_ground(path[report.index].position)[0]
         number = pages.kept.made + pages.read.made
         rows.append({
-            "frame": report.index, "x": float(x), "window": report.index in begins,
+            "frame": report.index, "x": float(x), "leg": report.index in begins,
             "ms": (time.perf_counter() - before[0]) * 1e3,
             "cpu_ms": (time.process_time() - before[1]) * 1e3, "read": number - made,
             "resident": resident(), "peak": peak(), "residual": report.ledger["residual"],
@@ -48,7 +48,7 @@ def row_line(row):
     return (
         f"frame {row['frame']}, at {row['x']:4.0f} m: {row['cpu_ms']:6.0f} ms of processors, "
         f"{row['read']} pages read or made, {row['resident'] / 1e9:.2f} GB in all, "
-        f"{row['peak'] / 1e9:.2f} GB at most" + ("; a window begins" if row["window"] else "")
+        f"{row['peak'] / 1e9:.2f} GB at most" + ("; a leg begins" if row["leg"] else "")
     )
 
 
@@ -79,15 +79,15 @@ def table(result):
     for part in filter(None, parts_of(rows)):
         cpu, held = ([row[key] for row in part] for key in ("cpu_ms", "resident"))
         cells.append((
-            f"{part[0]['x']:.0f} to {part[-1]['x']:.0f}", sum(row["window"] for row in part),
+            f"{part[0]['x']:.0f} to {part[-1]['x']:.0f}", sum(row["leg"] for row in part),
             f"{np.median(cpu):.0f}", f"{np.percentile(cpu, 90):.0f}", f"{max(cpu):.0f}",
             f"{np.median(held) / 1e9:.2f}", f"{max(row['peak'] for row in part) / 1e9:.2f}",
         ))  # fmt: skip
     later, first = rows[1:], rows[0]
     return "\n".join([
-        *markdown(("m along the street", "windows", "ms of processors, median", "tenth decile",
+        *markdown(("m along the street", "legs", "ms of processors, median", "tenth decile",
                    "most", "GB after a frame, median", "at most"), cells), "",
-        f"{made['splats']} splats on {made['length']:.0f} m, {made['windows']} windows, "
+        f"{made['splats']} splats on {made['length']:.0f} m, {made['legs']} legs, "
         f"{len(rows)} frames, one of {EVERY} at {result['fps']:g} a second",
         f"set-up: {made['ground']:.1f} s of processors for the ground, then "
         f"{first['cpu_ms'] / 1e3:.1f} s to the first frame, {first['peak'] / 1e9:.2f} GB at most",
@@ -104,8 +104,8 @@ def draw(result, path):
     pyplot = require_matplotlib()
     figure, axes = pyplot.subplots(2, 1, figsize=(9, 4.6), sharex=True, layout="constrained")
     rows = result["drive"][1:]
-    for begins, n, label in ((False, 0, "frames"), (True, 2, "that begin a window")):
-        shown = [row for row in rows if row["window"] == begins]
+    for begins, n, label in ((False, 0, "frames"), (True, 2, "that begin a leg")):
+        shown = [row for row in rows if row["leg"] == begins]
         axes[0].plot([row["x"] for row in shown], [row["cpu_ms"] for row in shown], ls="",
                      color=COLORS[n], marker=MARKERS[n], ms=2.5 + n, label=label)  # fmt: skip
     axes[0].set(ylabel="ms of processors", ylim=(0, None))

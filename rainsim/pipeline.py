@@ -13,6 +13,7 @@ from rainsim.actors.footprint import with_footprints
 from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import ParameterError
 from rainsim.io import cache
+from rainsim.io.allocator import trim
 from rainsim.render.first_view import view_of_water
 from rainsim.render.labels import without_flow
 from rainsim.render.leaving import leaving_notes
@@ -20,8 +21,7 @@ from rainsim.render.memory import require_memory
 from rainsim.render.report import FrameReport
 from rainsim.render.shutter import PathMotion
 from rainsim.render.sunken import sunken_notes
-from rainsim.render.window_ahead import Windows
-from rainsim.simulation import simulate, widened
+from rainsim.simulation import simulate
 from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.path_ground import PathGround, follows_path, path_ground
 from rainsim.terrain.pond import without_images
@@ -127,9 +127,8 @@ class FrameSequence:
         optics=None,
     ):  # fmt: skip
         self.scene, self.cameras, self.config = scene, cameras, config
-        self._ground, self._windows, self._window = None, None, None
+        self._ground = self._leg = None
         if isinstance(terrain, PathGround):
-            self._windows = Windows(terrain, scene, config)
             self._ground, terrain = terrain, terrain.overview
         self.terrain = terrain = with_footprints(terrain, scene)
         self.backend, self.layers, self.states, self.exr = backend, layers, states, exr
@@ -148,15 +147,8 @@ class FrameSequence:
         """Yield (picture, FrameReport) of the frames `indices`, in rising order."""
         if len(indices) == 0:
             return
-        alone = self._ground is not None and self.states is None
-        if alone and self._window is None:  # beside the renderer's set-up
-            self._windows.make_ahead(self._ground.station(indices[0]))
-        try:
-            for picture, report in self._renderer.render(self._states_of(list(indices), tell)):
-                yield picture, report if self.exr is None else replace(report, exr=self.exr)
-        finally:
-            if self._windows is not None:
-                self._windows.stop()
+        for picture, report in self._renderer.render(self._states_of(list(indices), tell)):
+            yield picture, report if self.exr is None else replace(report, exr=self.exr)
 
     def keep_setup(self):
         """Compute with all threads the kept results that other processes of the run will read."""
@@ -168,45 +160,27 @@ class FrameSequence:
         if self.states is not None:
             yield from (_shown_at(self.states(moment(index)), index) for index in indices)
             return
-        for n, index in enumerate(indices):
-            if self._ground is not None:
-                self._go_to(self._ground.station(index), moment(index), indices[n:])
-            elif self._water is None or index < self.next:
-                _, simulate_on_backend = on_backend(self.backend)
-                self._water, self._steps = simulate_on_backend(self.terrain, self.config), 0
+        for index in indices:
+            leg = None if self._ground is None else self._ground.leg(index)
+            if self._water is None or index < self.next or leg != self._leg:
+                self._begin(leg)
             while self._steps <= moment(index):
                 self._state, self._steps = next(self._water), self._steps + 1
                 if tell is not None and self._steps <= moment(indices[0]):
                     tell("simulate", self._steps, moment(indices[0]))
-            state = _shown_at(self._state, index)
-            window = self._window
-            yield state if window is None else widened(state, window.station.window, window.depth)
+            yield _shown_at(self._state, index)
 
-    def _go_to(self, station, moment, indices):
-        """Provide the water of a station, at a state no later than the number `moment`.
-
-        The next window that the frames `indices` show is made meanwhile.
-        """
-        goes_back = moment < self._steps - 1
-        if self._window is None or station != self._window.station or goes_back:
-            if goes_back or not self._windows.is_ahead(station):  # memory for the next
-                self._leave_window()
-            self._renderer.hold(indices[0])  # while the window is made, if it is not there yet
-            window = self._windows.window(station, self._renderer.ready_ground)
-            self._leave_window()
-            self._renderer.take_ground(window)
-            self._water, self._state = window.states, window.state
-            self._steps = window.state.index + 1
-            self._window = window._replace(states=None, state=None, ready=None)
-            after = (self._ground.station(index) for index in indices)
-            following = next((other for other in after if other != station), None)
-            if following is not None:
-                self._windows.make_ahead(following, self._renderer.ready_ground)
-
-    def _leave_window(self):
-        """Let go of the present window and of all that was made for it."""
-        self._window = self._state = self._water = None
-        self._renderer.leave_ground()
+    def _begin(self, leg):
+        """Begin the water again: that of a leg of the drive, or of the one map if that is None."""
+        self._water = self._state = None  # their memory is free for what follows
+        if leg is None:
+            _, simulate_on_backend = on_backend(self.backend)
+            self._water, self._steps = simulate_on_backend(self.terrain, self.config), 0
+            return
+        terrain = self._renderer.take_ground(lambda: self._ground.terrain(self.scene, leg))
+        trim()
+        self._leg, self._steps = leg, leg.start(self.config)
+        self._water = simulate(terrain, self.config, first=self._steps)
 
 
 def _shown_at(state, index):
@@ -406,25 +380,9 @@ class SequenceRenderer:
                 report = replace(report, notes=(*notes, *report.notes))
             yield picture, report
 
-    def hold(self, index):
-        """Read the chunks that the camera of the frame `index` needs now, see `Conductor.hold`."""
-        self._renderer.conductor.hold(self._cameras[0 if len(self._cameras) == 1 else index])
-
-    def leave_ground(self):
-        """Let go of a part of the ground before the next is made, see `Conductor.leave_ground`."""
-        self._renderer.conductor.leave_ground()
-
-    def take_ground(self, window):
-        """Draw the water of another part of the ground, a `Window`, from now on."""
-        ready = window.ready
-        if ready is None:
-            now = self._config.at(window.state.time)
-            ready = self.ready_ground(window.around, window.reach, now)
-        self._renderer.conductor.take_ground(ready)
-
-    def ready_ground(self, terrain, reach, now):
-        """Return the renderer's data of a part of the ground, see `Conductor.ready_ground`."""
-        return self._renderer.conductor.ready_ground(terrain, reach, now)
+    def take_ground(self, make):
+        """Draw another map of the ground from now on, see `Conductor.take_ground`."""
+        return self._renderer.conductor.take_ground(make)
 
     def make(self):
         """Return the backend's renderer for these frames."""

@@ -16,25 +16,23 @@ from rainsim.drops import GROUND, Surfaces, Weather, flat_surfaces, impacts
 from rainsim.errors import counted
 from rainsim.grid import WaterSolver
 from rainsim.io.states import SimState
-from rainsim.rain.exposure import computed_exposure, rain_exposure
+from rainsim.rain.exposure import rain_exposure
 from rainsim.rain.moving_surfaces import MovingSurfaces
 from rainsim.shading.wetness import evaporation_rate
 from rainsim.terrain.poured import with_standing
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import NO_TOPS
-from rainsim.water.begin import Begin, low_ground
 from rainsim.water.keyframed import moved_water
 from rainsim.water.on_objects import Objects
-from rainsim.water.puddles import WET, doubt, probability, puddles_of, wet_share
+from rainsim.water.puddles import WET, doubt, low_ground, probability, puddles_of, wet_share
 from rainsim.water.ripples import RippleTile, mean_chord, tile_impacts
-from rainsim.water.streams import run_in, run_off, with_streams
+from rainsim.water.streams import with_streams
 from rainsim.water.top_water import TopWater
 
 RIPPLE_DEPTHS = (2e-3, 0.1)  # m: films thinner carry no rings, deeper water is deep to them
 RIPPLE_WARM_UP = 5.0  # s of rain before the first frame: then rings come and go in balance
 DRIP_WARM_UP = 1.0  # s of it for the edges of objects: the longest fall from them
 WARM_UP_STEP = 1 / 15  # s
-WINDOW_DEPTH, WINDOW_CHORD = 5e-3, 0.5  # m of the puddles that rings of all windows run on; usual
 DRAIN_INTAKE = 0.1  # m/s that a grating takes at most: 8 l/s through an opening of 0.08 m2
 
 
@@ -44,48 +42,14 @@ def surfaces_of(terrain):
     return Surfaces(grid.spacing, grid.origin, *heights)
 
 
-def steady_water(terrain, config, number, beyond=None):
-    """Return the `Begin` at a state: the rain until then at rest, and the streams of steady rain.
+def steady_water(terrain, config, exposure, time):
+    """Return depth [m], velocity [m/s] and notes: rain until a time [s] at rest, and its streams.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    config : Config
-    number : int
-    beyond : Terrain, optional
-        What lies about the map, in wider cells: its water comes in by streams.
+    `exposure` is the share of the rain that reaches the ground.
     """
-    time = number / config.fps
     now, fallen = config.at(time), Weather(config).fallen(time)
-
-    def still(ground):
-        exposure = computed_exposure(ground, usual_wind(config), config.rain.roughness)
-        return exposure, initial_water(ground, now, exposure, fallen), now.rain.rate * exposure
-
-    exposure, (depth, notes), rain = still(terrain)
-    inflow = ()
-    if beyond is not None and now.rain.rate > 0:
-        _, (standing, _), coarse = still(beyond)
-        inflow = run_in(run_off(beyond, standing, coarse), beyond.grid, terrain.grid)
-    return Begin(number, *with_streams(terrain, depth, rain, inflow), notes, exposure)
-
-
-def widened(state, window, begun):
-    """Return the state of a window over all that lies around it, where the water stands still.
-
-    Parameters
-    ----------
-    state : SimState
-    window : tuple of slice
-        Rows and columns of the window.
-    begun : ndarray of shape (ny, nx), float32 [m]
-        Depth at the start, in the window and around it.
-    """
-    depth = begun.copy()
-    depth[window] = state.depth
-    velocity = np.zeros((2, *depth.shape), np.float32)
-    velocity[(slice(None), *window)] = state.velocity
-    return replace(state, depth=depth, velocity=velocity)
+    depth, notes = initial_water(terrain, now, exposure, fallen)
+    return *with_streams(terrain, depth, now.rain.rate * exposure), notes
 
 
 def initial_water(terrain, config, exposure, fallen=0.0):
@@ -142,7 +106,7 @@ def drains_of(terrain):
     return [(int(row), int(column), rate) for row, column in zip(rows, columns, strict=True)]
 
 
-def simulate(terrain, config, dtype=np.float32, begin=None):
+def simulate(terrain, config, dtype=np.float32, first=None):
     """Yield the `SimState` at the time of each frame, from the first on, without end.
 
     Parameters
@@ -151,9 +115,9 @@ def simulate(terrain, config, dtype=np.float32, begin=None):
     config : Config
     dtype : dtype
         Of the water; float64 closes the ledger to rounding.
-    begin : Begin, optional
-        Of the first state, where the terrain is one of several windows of the ground. The rings on
-        the water are then those of every other window.
+    first : int, optional
+        Number of the first state, where the terrain is that of a leg of a drive: water then begins
+        with the streams of steady rain, see `steady_water`.
 
     Examples
     --------
@@ -164,25 +128,30 @@ def simulate(terrain, config, dtype=np.float32, begin=None):
     >>> bool(abs(state.ledger["residual"]) < 1e-6)
     True
     """
-    first = begin.number if begin else 0
-    begun = first / config.fps
+    index = first or 0
+    begun = index / config.fps
     start, weather = config.at(begun), Weather(config)
     wind = usual_wind(config), config.rain.roughness
     moving = MovingSurfaces(terrain, *wind)
-    surfaces, exposure = moving.still, begin.exposure if begin else rain_exposure(terrain, *wind)
+    surfaces, exposure = moving.still, rain_exposure(terrain, *wind)
     whole = _area(terrain, exposure)
     by_keyframes = moved_water(terrain, config, exposure, begun)
     solver = water_solver(terrain, start, dtype)
-    depth, notes = _filled(solver, terrain, start, exposure, begin)
-    ripples = ripple_tile(config, weather, None if begin else (depth, terrain.grid.spacing))
-    objects = Objects(surfaces, start, *tops_of(terrain, config, start), keep=begin is None)
+    if first is None:
+        depth, notes = initial_water(terrain, start, exposure)
+        velocity, notes = (), (*notes, solver.choice)
+    else:
+        depth, velocity, notes = steady_water(terrain, config, exposure, begun)
+    solver.set_state(depth, *velocity)
+    ripples = ripple_tile(config, weather, depth, terrain.grid.spacing)
+    objects = Objects(surfaces, start, *tops_of(terrain, config, start))
     warm_up(ripples, objects, weather, begun)
     objects.open_account()
-    in_window, begin, depth = begin is not None, None, None  # the maps of the start are let go
-    index, hits, report = first, None, None
+    depth = velocity = None  # the maps of the start are let go
+    hits, report, number = None, None, index
     while True:
         time = index / config.fps
-        if index > first:
+        if index > number:
             before = (index - 1) / config.fps
             hits, fine = None, 0.0
             rain = weather.field(before, time)
@@ -195,9 +164,7 @@ def simulate(terrain, config, dtype=np.float32, begin=None):
                 solver.deposit(landed.row, landed.column, landed.volume)
                 objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
             solver.deposit(*objects.advance(before, time, weather))  # drips from objects
-            if rain and in_window:
-                rings_on(ripples, rain, before, time)
-            elif rain:  # rings of both
+            if rain:  # rings of both
                 rings = objects.with_drips(landed, before, time)
                 area = whole if opened is exposure else _area(terrain, opened)
                 ripples.advance(time - before, *tile_impacts(rings, area, ripples.size, time))
@@ -209,38 +176,28 @@ def simulate(terrain, config, dtype=np.float32, begin=None):
         hits = landed = fine = opened = None  # tens of MB that nobody needs while a frame is drawn
         yield SimState(
             index, time, deep, flow, ripples.slopes(), ripples.size, *met, ledger,
-            notes if index == first else (), *objects.falling(),
+            notes if index == number else (), *objects.falling(),
             top_water=objects.top_water(),
         )  # fmt: skip
         index += 1
 
 
-def _filled(solver, terrain, start, exposure, begin):
-    """Give a solver the water of the start; return its depth [m] (ny, nx), and notes."""
-    if begin is not None:
-        solver.set_state(begin.depth, *begin.velocity)
-        return begin.depth, begin.notes
-    depth, notes = initial_water(terrain, start, exposure)
-    solver.set_state(depth)
-    return depth, (*notes, solver.choice)
-
-
-def ripple_tile(config, weather, water=None):
+def ripple_tile(config, weather, depth, spacing):
     """Return the `RippleTile` of a run.
 
     Parameters
     ----------
     config : Config
     weather : Weather
-    water : tuple, optional
-        Depth (ny, nx) [m] at the start and cell size [m] of the only map; windows, which must agree
-        on their rings, have those of usual puddles.
+    depth : ndarray of shape (ny, nx) [m]
+        Of the water at the start.
+    spacing : float [m]
+        Width of a cell.
     """
-    depth, chord = WINDOW_DEPTH, WINDOW_CHORD
-    if water is not None:
-        depth, chord = puddle_depth(water[0]), mean_chord(*water, RIPPLE_DEPTHS[0])
     film, rate = config.water.surface_film, weather.mean_rate
-    return RippleTile(depth=depth, film=film, chord=chord, rate=rate, dtype=np.float32)
+    chord = mean_chord(depth, spacing, RIPPLE_DEPTHS[0])
+    deep = puddle_depth(depth)
+    return RippleTile(depth=deep, film=film, chord=chord, rate=rate, dtype=np.float32)
 
 
 def _area(terrain, share):

@@ -1,4 +1,4 @@
-"""A road with hollows, a drive along it, and windows of its ground of some metres."""
+"""A road with hollows, a drive along it, and legs of some metres."""
 
 import math
 
@@ -9,7 +9,7 @@ from rainsim import pipeline
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.scene.cameras import look_at
 from rainsim.scene.types import GroundFrame, Scene, Splats
-from rainsim.terrain import path_ground, stations
+from rainsim.terrain import path_ground
 
 LENGTH, WIDE, GAP, SPACING = 24.0, 2.0, 0.08, 0.05  # m
 DIPS, DEEP, ROUND = 3.0, 0.02, 0.5  # m between hollows of the road, their depth and radius
@@ -42,15 +42,14 @@ def road(cameras, seed=3):
 
 @pytest.fixture(autouse=True, scope="module")
 def small():
-    """Windows of some metres instead of tens."""
+    """Legs of some metres instead of tens."""
     with pytest.MonkeyPatch.context() as patch:
         small = {
-            "BEHIND": 0.5, "AHEAD": 2.5, "ASIDE": 1.0, "STEP": 0.5, "REST": 3.0, "STRIP": 2.0,
-            "WINDOW_CELLS": 5000, "GROWN": 2.0, "LEAD": 0.3,
+            "BEHIND": 0.5, "AHEAD": 2.5, "ASIDE": 1.0, "STEP": 0.5, "LEG_CELLS": 5000,
+            "GROWN": 2.0, "OVERLAP": 0.3,
         }  # fmt: skip
         for name, value in small.items():
-            patch.setattr(stations, name, value)
-        patch.setattr(path_ground, "STRIP", 2.0)
+            patch.setattr(path_ground, name, value)
         patch.setenv("RAINSIM_CACHE", "off")  # no name of an entry tells of these
         yield
 

@@ -342,7 +342,7 @@ def view_on(scene, terrain, cameras, config, given, status):
 
     if isinstance(terrain, PathGround):
         raise ParameterError(
-            "ground_map is path and no camera is named; windows of ground follow cameras that are "
+            "ground_map is path and no camera is named; legs of a drive follow cameras that are "
             "given; give --drive, --path, --orbit or --camera, or --ground-map whole"
         )
     offered = with_offered_cameras(scene)

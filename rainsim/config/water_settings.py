@@ -24,7 +24,7 @@ class TerrainConfig(Group):
         option=Option("extent", "M", "chosen from the cameras"))
     ground_map: str = setting(
         "auto", "ground_map", "",
-        "whole is one height map for all frames; path, windows of fine cells that follow the "
+        "whole is one height map for all frames; path, a few legs of fine cells along the "
         "frames' cameras, each with water of its own; auto takes path for several cameras near the "
         "ground that range so far that one map would have cells of more than 2.5 cm",
         OneOf("auto", "whole", "path"),

@@ -40,8 +40,6 @@ class Drips:
     seed : int
     wet : bool
         Whether it has rained before: films are full and each edge holds part of a drop.
-    keep : bool
-        Whether where the water of a large map goes is kept for the next run.
 
     Attributes
     ----------
@@ -51,10 +49,9 @@ class Drips:
         The drip point that a cell's water goes to; -1 for ground, -2 where it finds no edge.
     """
 
-    def __init__(self, surfaces, seed=0, wet=True, keep=True):
+    def __init__(self, surfaces, seed=0, wet=True):
         self._surfaces = surfaces
-        catchments = _kept_catchments if keep else _catchments
-        self.point, edge, foot = catchments(surfaces)
+        self.point, edge, foot = _kept_catchments(surfaces)
         spacing = surfaces.spacing
         count = len(edge)
         key = mix(np.array([seed % 2**64], np.uint64) ^ np.uint64(0xD21B))

@@ -16,6 +16,7 @@ from rainsim.drops import Weather
 from rainsim.jit import may_run_beside
 from rainsim.particles import drop_radiance
 from rainsim.particles.splash import LONGEST_LIFE
+from rainsim.rain.exposure import rain_exposure
 from rainsim.rain.moving_surfaces import MovingSurfaces, begun
 from rainsim.rain.tyres import cars_of, rolled
 from rainsim.raster import Rasterizer
@@ -49,7 +50,7 @@ RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
 
 
 class GroundTables(NamedTuple):
-    """A part of the ground that carries the water, as passes take it.
+    """The map of the ground that carries the water, as passes take it.
 
     Attributes
     ----------
@@ -67,14 +68,6 @@ class GroundTables(NamedTuple):
     rings: np.ndarray
     water: WaterTables
     film: WetGroundMirror
-
-
-class ReadyGround(NamedTuple):
-    """A part of the ground as `Conductor.take_ground` takes it."""
-
-    wet: WetGround
-    now: object
-    tables: GroundTables
 
 
 class Conductor:
@@ -289,7 +282,7 @@ class Conductor:
         """Draw water and film by the methods that a RenderConfig names, from now on."""
         self.methods = self.ground.film.config = render
 
-    # ---- parts of the ground
+    # ---- maps of the ground
 
     def _lay_tables(self, terrain, rings, _wind):
         self._ring_reach = ring_reach(RING_DEPTH, *rings[:2])
@@ -303,39 +296,23 @@ class Conductor:
         water = WaterTables(terrain, self._ring_reach)
         return GroundTables(terrain, moving, share, rings, water, film)
 
-    def leave_ground(self):
-        """Drop all that depends on the present part of the ground; `take_ground` must follow."""
+    def take_ground(self, make):
+        """Draw another map of this scene's ground from now on; the light stays as it was set up.
+
+        make() returns its `Terrain`, the scene's actors on it, which is returned; it is called when
+        nothing of the map before is held.
+        """
         film = self.ground.film.over(None)
         self.ground = GroundTables(None, None, None, None, None, film)
         self.camera, self.frame = None, Frame((*PASSES, *LAYER_PASSES))
+        self._coming, self._coming_on, self._ringed = {}, None, (None, None)
         self._set_up.put("terrain", None)
-        self.wet_scene.leave_ground()
-
-    def ready_ground(self, terrain, reach, now):
-        """Return the `ReadyGround` that `take_ground` takes; nothing that is drawn changes.
-
-        Parameters
-        ----------
-        terrain : Terrain
-            A window of the ground of this scene, its actors on it.
-        reach : ndarray of shape (ny, nx), float32
-            Share of the rain that reaches the ground.
-        now : Config
-            Of the time from which on it is drawn.
-        """
-        terrain = tops_drawn(terrain, self.config)
-        return ReadyGround(
-            WetGround(terrain, reach), now, self._tables(terrain, reach, self.ground.film)
-        )
-
-    def take_ground(self, ready):
-        """Draw the water of another part of the ground from now on; the light stays as it is.
-
-        `ready` is what `ready_ground` returned.
-        """
-        terrain = ready.tables.terrain
-        self.ground = ready.tables._replace(film=self.ground.film.over(terrain))
-        self.wet_scene.take_ground(ready.wet, ready.now)
+        self.wet_scene.take_ground(None)
+        terrain = tops_drawn(make(), self.config)
+        reach = rain_exposure(terrain, usual_wind(self.config), self.config.rain.roughness)
+        self.wet_scene.take_ground(WetGround(terrain, reach))
+        self.ground = self._tables(terrain, reach, film.over(terrain))
+        return terrain
 
     # ---- choices before the first frame
 
@@ -391,9 +368,3 @@ class Conductor:
         capture = self.wet_scene.capture
         if capture.paged is not None:
             capture.paged.read_ahead(camera, capture.near)
-
-    def hold(self, camera):
-        """Read now the chunks that a camera of the capture frame needs, if there are any."""
-        capture = self.wet_scene.capture
-        if capture.paged is not None:
-            capture.paged.whole.load(camera, capture.near)

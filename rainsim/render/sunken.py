@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.water.begin import low_ground
+from rainsim.water.puddles import low_ground
 
 
 def sunken_notes(path, terrain, config):

@@ -175,26 +175,11 @@ class WetScene:
         """Numbers that change with whatever makes pictures of the same camera differ."""
         return self.capture.changes, self._shades
 
-    def leave_ground(self):
-        """Drop all that depends on the present part of the ground; `take_ground` must follow."""
-        self.ground = self.shading = None
-
-    def take_ground(self, ground, now):
-        """Draw another part of the ground; the light stays as it was set up.
-
-        Parameters
-        ----------
-        ground : WetGround
-        now : Config
-            Of the time from which on it is drawn.
-        """
-        self.ground = ground
-        ground.stand(self.capture.actors)
-        ground.wet(now)
-        self._shade(
-            self._look_of(self._now), wetness.off_ground_wetness(self._now),
-            wetness.paving_dampness(self._now),
-        )  # fmt: skip
+    def take_ground(self, ground):
+        """Draw a `WetGround` or None from the next `set_time` on; the light stays as it is."""
+        self.ground, self.shading, self._now = ground, None, None
+        if ground is not None:
+            ground.stand(self.capture.actors)
 
     def move_actors(self, time):
         """Take over where the scene's actors are at a time [s]; return whether they have moved.

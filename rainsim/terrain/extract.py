@@ -102,12 +102,12 @@ def extract_terrain(scene, config, mask=None, tell=None):
     return replace(terrain, notes=notes, tops=tops)
 
 
-def arrays_over(scene, grid, level, step=lambda: None):
+def arrays_over(scene, grid, level):
     """Return the arrays of a `Terrain` over a part of a scene's ground; None if no splat is there.
 
     They are of shape (ny, nx) or (ny, nx, 3); within MARGIN of the grid's rim they are made from
     less than all that bears on it. level(x, y) is about the height of the ground [m], for arrays of
-    points; step() is called between the steps.
+    points.
     """
     mask = None if scene.painted is None else painted_mask(scene.painted, grid)
     scene = scene_over(scene, grid)
@@ -115,7 +115,7 @@ def arrays_over(scene, grid, level, step=lambda: None):
     if not over[2].any():
         return None
     cells = tuple(slice(0, n) for n in grid.shape)
-    found = _piece(scene, _Cloud(scene, grid, level, over), Piece(grid, cells), mask, step)
+    found = _piece(scene, _Cloud(scene, grid, level, over), Piece(grid, cells), mask, lambda: None)
     del found["left_out"]
     return found
 

@@ -1,66 +1,68 @@
-"""The ground along a path: fine windows near the cameras, made while the drive goes on.
+"""The ground along a path: a few legs, each one map of fine cells for a run of frames.
 
-A coarse map of all of it, made once, says where the ground lies and sets up the light. What lies
-about a window is extracted in strips across the path, each with a margin from the splats over it.
+A coarse map of all of it, made once, says where the ground lies and sets up the light. Legs follow
+from the cameras of the whole path and the cells' size alone, and the water of each begins at the
+same time whichever frames are drawn: a frame by itself shows the water that it has in the sequence.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
-from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
-from rainsim.actors.footprint import footprints_of, with_footprints
+from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import TerrainConfig
-from rainsim.errors import BackendError, ParameterError
+from rainsim.errors import BackendError, ParameterError, counted
 from rainsim.terrain.extract import MARGIN, arrays_over
 from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.map_size import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
-from rainsim.terrain.stations import (
-    HIGH,
-    STRIP,
-    box_area,
-    cells_of,
-    long_axis,
-    station_at,
-    stations_of,
-)
 from rainsim.terrain.types import NO_TOPS, UNKNOWN, Grid, Terrain
 
+BEHIND, AHEAD, ASIDE = 4.0, 20.0, 5.0  # m about a camera that a leg holds, along its view
+HIGH = 4.0  # m above the ground: a higher camera needs what it looks at, not what is below it
+FARTHEST = 200.0  # m that such a camera's ground may be away
+STEP = 2.0  # m: the rims of legs lie on multiples of it
+LEG_CELLS = 2_000_000  # of a leg that serves several frames
+GROWN = 1.5  # times the cells of its first camera that such a leg may have in any case
+CAMERA_CELLS = 6_000_000  # of a leg for a single camera
+OVERLAP = 1.0  # s before its first frame that a leg's water is simulated
 OVERVIEW_CELLS = 400_000  # of the coarse map
 MAPS = "bed", "top", "underside", "source", "ground_class", "noise"
-UPSTREAM = 100.0  # m about a window from which its streams may come
-NEXT_SHARE = 0.3  # of the memory a cell, that a window takes which is not drawn yet
-WIDER = 1.25  # times the usual cells: those of one map for all from which on windows are taken
+WIDER = 1.25  # times the usual cells: those of one map for all from which on legs are taken
+
+
+class Leg(NamedTuple):
+    """A part of a drive: its frames from `first` to before `end`, and the `Grid` of their map."""
+
+    first: int
+    end: int
+    grid: Grid
+
+    def start(self, config):
+        """Return the number of the water's state with which the simulation begins."""
+        return max(0, config.moment(self.first) - math.ceil(OVERLAP * config.fps))
 
 
 class PathGround:
     """The ground of a scene along a path.
 
     `overview` is the coarse map, actors on it; `path` has a camera for each of the frames, or one
-    for all, in the ground frame. Windows have cells of `spacing` [m]; `footprints` are those of the
-    actors on such maps. `stations` are in the order of their frames.
+    for all, in the ground frame. Cells of `legs`, which are in the order of their frames, are
+    `spacing` [m] wide.
     """
 
-    def __init__(self, overview, path, frames, spacing, footprints=()):
-        self.overview, self._footprints = overview, footprints
-        self.stations = stations_of(path, frames, spacing, self.height)
-        self._last = {}, None  # where the strips of the last `around` lie in it, by their cells
-
-    def __getstate__(self):
-        return {**self.__dict__, "_last": ({}, None)}
+    def __init__(self, overview, path, frames, spacing):
+        self.overview = overview
+        self.legs = legs_of(path, frames, spacing, self.height)
 
     @property
     def cells(self):
-        """Cells that are held at once at most, as many as one map of the same memory has.
-
-        Of the whole, of a window and of what lies around it; and a share of the next window's,
-        which is made meanwhile and holds less than one that is drawn.
-        """
-        each = [box_area(s.cells) + box_area(s.around) for s in self.stations]
-        return self.overview.bed.size + round((1 + NEXT_SHARE) * max(each))
+        """Cells that are held at once at most: of the whole and of a leg."""
+        return self.overview.bed.size + max(math.prod(leg.grid.shape) for leg in self.legs)
 
     def height(self, x, y):
         """Return the height of the coarse map [m] at points, beyond it that of its rim."""
@@ -69,68 +71,27 @@ class PathGround:
                   (np.asarray(x, float) - grid.origin[0]) / grid.spacing - 0.5]  # fmt: skip
         return ndimage.map_coordinates(self.overview.bed, np.stack(places), order=1, mode="nearest")
 
-    def station(self, frame):
-        """Return the station that serves a frame."""
-        return station_at(self.stations, frame)
+    def leg(self, frame):
+        """Return the leg that a frame is in."""
+        return next(leg for leg in self.legs if leg.first <= frame < leg.end)
 
-    def around(self, scene, station, check=lambda: None):
-        """Return the `Terrain` of a station's window and of its surroundings, actors on it.
+    def terrain(self, scene, leg):
+        """Return the `Terrain` of a leg, actors on it.
 
-        The scene is the one that the overview was made of; check() is called between the steps.
+        The scene is the one that the overview was made of. The map has no tops and no painted
+        water, nor colours, by which only the light of the whole is set up.
         """
-        cells, spacing = station.around, station.spacing
-        axis, strip = long_axis(cells), cells_of(STRIP, spacing)
-        low, high = cells[2 * axis], cells[2 * axis + 1]
-        rims = [low, *range((low // strip + 1) * strip, high, strip), high]
-        grid, maps, places = grid_of(cells, spacing), {}, {}
-        parts = [(*cells[:2], a, b) if axis else (a, b, *cells[2:]) for a, b in pairwise(rims)]
-        before, last = self._last
-        if not any((part, spacing) in before for part in parts):
-            self._last = last = {}, None  # nothing of it is needed: its memory is free now
-        for part in parts:
-            start, stop = part[2 * axis :][:2]
-            along = slice(start - low, stop - low)
-            places[part, spacing] = (slice(None), along) if axis else (along, slice(None))
-            kept = before.get((part, spacing))
-            if kept is None:
-                strip = self._made(scene, part, spacing, check)
-            else:
-                strip = {name: getattr(last, name)[kept] for name in MAPS}
-            for name in MAPS:
-                values = strip[name]
-                if name not in maps:
-                    maps[name] = np.empty((*grid.shape, *values.shape[2:]), values.dtype)
-                maps[name][places[part, spacing]] = values
-        self._last = places, Terrain(grid, **maps, color=no_color(grid))
-        return with_footprints(self._last[1], scene, self._footprints)
-
-    def about(self, grid):
-        """Return the coarse `Terrain` of a `Grid` and of the ground around that may drain to it.
-
-        None where the coarse map is as fine as the part.
-        """
-        whole = self.overview.grid
-        if whole.spacing < 1.5 * grid.spacing:
-            return None
-        low = np.subtract(grid.origin, UPSTREAM)
-        high = np.add(grid.origin, np.add(grid.size, UPSTREAM))
-        first, last = (np.subtract(place, whole.origin) / whole.spacing for place in (low, high))
-        columns, rows = (
-            slice(max(int(a), 0), min(int(b) + 1, n))
-            for a, b, n in zip(first, last, whole.shape[::-1], strict=True)
-        )
-        return part_of(self.overview, (rows, columns))
-
-    def _made(self, scene, cells, spacing, check=lambda: None):
-        """Return the arrays of a `Terrain` over some cells."""
+        (ny, nx), (x, y), spacing = leg.grid.shape, leg.grid.origin, leg.grid.spacing
         margin = cells_of(MARGIN, spacing)
-        south, north, west, east = cells
-        grid = grid_of((south - margin, north + margin, west - margin, east + margin), spacing)
-        found = arrays_over(scene, grid, self.height, check)
+        corner = x - margin * spacing, y - margin * spacing
+        wide = Grid((ny + 2 * margin, nx + 2 * margin), corner, spacing)
+        found = arrays_over(scene, wide, self.height)
         if found is None:
-            found = self._unseen(grid)
+            found = self._unseen(wide)
         inner = slice(margin, -margin)
-        return {name: found[name][inner, inner].copy() for name in MAPS}
+        maps = {name: found[name][inner, inner].copy() for name in MAPS}
+        black = np.broadcast_to(np.float32(0), (ny, nx, 3))  # takes no memory
+        return with_footprints(Terrain(leg.grid, **maps, color=black), scene)
 
     def _unseen(self, grid):
         """Return the arrays of ground over which no splat lies: that of the coarse map."""
@@ -145,32 +106,69 @@ class PathGround:
         }  # fmt: skip
 
 
-def grid_of(cells, spacing):
-    """Return cells of the lattice, as `Station.cells`, as a `Grid`."""
-    south, north, west, east = cells
-    return Grid((north - south, east - west), (west * spacing, south * spacing), spacing)
+def legs_of(path, frames, spacing, height):
+    """Return the legs of a path, a list of `Leg` in the order of their frames.
 
-
-def part_of(terrain, window):
-    """Return the `Terrain` of a window (rows, columns) of a map, its arrays copied.
-
-    It has no tops and no painted water, nor colours, by which only the light of the whole is set
-    up. What moves on the map moves on the part, too.
+    There is a camera for each of the frames, or one for all, in the ground frame. Cells are
+    `spacing` [m] wide; height(x, y) is that of the ground [m], for arrays of points. ParameterError
+    if the part that a single camera needs has too many cells.
     """
-    grid = terrain.grid
-    rows, columns = window
-    cells = rows.start, rows.stop, columns.start, columns.stop
-    part = grid_of(cells, grid.spacing)
-    origin = grid.origin[0] + part.origin[0], grid.origin[1] + part.origin[1]
-    maps = {name: getattr(terrain, name)[window].copy() for name in MAPS}
-    return Terrain(
-        replace(part, origin=origin), **maps, color=no_color(part), footprints=terrain.footprints
-    )
+    eyes = np.array([camera.position for camera in path])
+    ground = height(eyes[:, 0], eyes[:, 1])
+    firsts, boxes, most = [], [], -1
+    for n, camera in enumerate(path[:frames]):
+        low, high = own = needed_cells(camera, float(ground[n]), spacing)
+        if boxes:
+            low, high = np.minimum(low, boxes[-1][0]), np.maximum(high, boxes[-1][1])
+        if _area((low, high)) <= most:
+            boxes[-1] = low, high
+        else:
+            firsts.append(n)
+            boxes.append(own)
+            most = max(LEG_CELLS, GROWN * _area(own))
+    legs = []
+    for first, end, (low, high) in zip(firsts, [*firsts[1:], frames], boxes, strict=True):
+        shape, corner = (high - low)[::-1].tolist(), (low * spacing).tolist()
+        legs.append(Leg(first, end, Grid(tuple(shape), tuple(corner), spacing)))
+    return legs
 
 
-def no_color(grid):
-    """Return black for each cell of a `Grid`, which takes no memory."""
-    return np.broadcast_to(np.float32(0), (*grid.shape, 3))
+def needed_cells(camera, ground, spacing):
+    """Return the cells that a camera needs: first (column, row) and the ones after the last.
+
+    They lie on a lattice whose cell (0, 0) has its south-western corner at the origin of the ground
+    frame, in a rectangle along the view; a high camera's lies where the view meets the ground. The
+    camera is in the ground frame, `ground` the height of the ground below it [m]. ParameterError if
+    the cells are more than `CAMERA_CELLS`.
+    """
+    eye, view = camera.position, camera.forward
+    level = math.hypot(view[0], view[1])
+    ahead = view[:2] / level if level > 1e-6 else np.array([1.0, 0.0])
+    begin, height = -BEHIND, eye[2] - ground
+    if height > HIGH:
+        away = FARTHEST if view[2] >= 0 else min(height * level / -view[2], FARTHEST)
+        begin = away - (BEHIND + AHEAD) / 2
+    along = eye[:2] + np.outer([begin, begin + BEHIND + AHEAD], ahead)
+    aside = ASIDE * np.array([-ahead[1], ahead[0]])
+    corners = np.concatenate([along - aside, along + aside])
+    step = cells_of(STEP, spacing)
+    low = np.floor(corners.min(axis=0) / (step * spacing)).astype(int) * step
+    high = np.ceil(corners.max(axis=0) / (step * spacing)).astype(int) * step
+    if _area((low, high)) > CAMERA_CELLS:
+        raise ParameterError(
+            f"the ground about a camera has {_area((low, high))} cells of {spacing:g} m; at most "
+            f"{CAMERA_CELLS} fit the memory; give a larger --spacing"
+        )
+    return low, high
+
+
+def cells_of(length, spacing):
+    """Return how many cells a length [m] has at least, 8 or more."""
+    return max(8, round(length / spacing))
+
+
+def _area(box):
+    return int(np.prod(box[1] - box[0]))
 
 
 def follows_path(scene, config, cameras, backend="cpu", mask=None):
@@ -225,11 +223,10 @@ def path_ground(scene, config, cameras):
     overview = kept_terrain(scene, TerrainConfig(spacing=coarse))
     path = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     overview = with_footprints(replace(overview, tops=NO_TOPS), scene)
-    ground = PathGround(overview, path, config.frames, spacing, footprints_of(scene, spacing))
-    sides = [max(s.cells[1] - s.cells[0], s.cells[3] - s.cells[2]) for s in ground.stations]
-    windows = f"{len(sides)} window" + ("s" if len(sides) > 1 else "")
+    ground = PathGround(overview, path, config.frames, spacing)
+    side = max(max(leg.grid.size) for leg in ground.legs)
     note = (
-        f"ground map along the path: {windows} of at most {max(sides) * spacing:.4g} m with cells "
-        f"of {spacing:g} m; cells of {coarse:g} m beyond"
+        f"ground map along the path: {counted(len(ground.legs), 'leg')} of at most {side:.4g} m "
+        f"with cells of {spacing:g} m; cells of {coarse:g} m beyond"
     )
     return ground, (note,)

@@ -260,7 +260,7 @@ class GroundTools:
         height = self.points[-1][2]
 
         def level(session):
-            from rainsim.water.begin import low_ground
+            from rainsim.water.puddles import low_ground
 
             return height - low_ground(session.terrain)
 

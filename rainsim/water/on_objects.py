@@ -24,8 +24,6 @@ class Objects:
     tops : TopWater
     dried : float [m]
         What evaporation has taken from the tops.
-    keep : bool
-        See `Drips`.
 
     Attributes
     ----------
@@ -35,9 +33,9 @@ class Objects:
     tops : TopWater
     """
 
-    def __init__(self, surfaces, start, tops, dried, keep=True):
+    def __init__(self, surfaces, start, tops, dried):
         rain, wet = start.rain, start.rain.past > 0 or start.water.level is not None
-        self.drips = Drips(surfaces, rain.seed, wet, keep) if rain.drips else None
+        self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
         self._surfaces, self._roughness = surfaces, rain.roughness
         self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
         self.tops, self._full_after = tops, (math.inf, None)

@@ -20,6 +20,11 @@ DOUBTFUL_SHARE = 0.5  # of the rain's depth that the bed may be off
 LEAST_MEASURED = 0.6  # of the paving: where less is measured, most puddles stand on an assumed bed
 
 
+def low_ground(terrain):
+    """Return the height of the low ground [m], over which water levels are given."""
+    return float(np.percentile(terrain.bed.astype(np.float64), 5))
+
+
 @dataclass
 class Puddles:
     """Standing water on a terrain, and the account of the water that left it.

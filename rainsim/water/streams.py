@@ -1,7 +1,7 @@
 """The streams of a steady rain: where water runs on the ground, how deep and how fast.
 
-A gutter takes minutes to fill, and a window of the ground is looked at for seconds. Its water
-therefore begins with the streams of a steady rain, the kinematic wave at rest in time: through each
+A gutter takes minutes to fill, and a leg of a drive is looked at for seconds. Its water therefore
+begins with the streams of a steady rain, the kinematic wave at rest in time: through each
 place runs what falls on all the ground that drains there, at the depth h at which friction balances
 the slope S of the ground (Manning; Chow 1959, Open-channel hydraulics, chapter 5):
 
@@ -71,7 +71,7 @@ def block_cells(spacing):
     return max(1, round(BLOCK / spacing))
 
 
-def run_off(terrain, standing, rain, inflow=()):
+def run_off(terrain, standing, rain):
     """Return the `Runoff` of a terrain.
 
     Parameters
@@ -81,8 +81,6 @@ def run_off(terrain, standing, rain, inflow=()):
         Depth of the water at rest.
     rain : ndarray of shape (ny, nx) [m/s]
         What reaches the ground.
-    inflow : sequence of (x, y, discharge)
-        Places [m] at which water comes from beyond the map, and how much [m3/s].
     """
     grid = terrain.grid
     k = block_cells(grid.spacing)
@@ -95,8 +93,6 @@ def run_off(terrain, standing, rain, inflow=()):
     sink[[0, -1]] = sink[:, [0, -1]] = True
     level = np.empty(surface.shape)
     flood(surface, sink, level)
-    for x, y, discharge in inflow:
-        source[_lowest_near(level, grid, k, x, y)] += discharge
     order = np.argsort(level, axis=None, kind="stable")[::-1]
     rows, columns = level.shape
     east, north = np.zeros((rows, columns + 1)), np.zeros((rows + 1, columns))
@@ -104,51 +100,12 @@ def run_off(terrain, standing, rain, inflow=()):
     return Runoff(level, east, north)
 
 
-def _lowest_near(level, grid, k, x, y):
-    """Return row and column of the lowest block beside a place, none of them on the rim."""
-    side = k * grid.spacing
-    row, column = int((y - grid.origin[1]) / side), int((x - grid.origin[0]) / side)
-    rows, columns = (np.clip(np.arange(n - 1, n + 2), 1, max(size - 2, 1))
-                     for n, size in zip((row, column), level.shape, strict=True))  # fmt: skip
-    near = level[np.ix_(rows, columns)]
-    j, i = np.unravel_index(int(near.argmin()), near.shape)
-    return rows[j], columns[i]
-
-
-def run_in(flow, grid, place):
-    """Return the inflow to a part of a map, as `run_off` takes it.
-
-    Parameters
-    ----------
-    flow : Runoff
-        Of the map.
-    grid : Grid
-        Of the map.
-    place : Grid
-        Of the part.
-    """
-    side = block_cells(grid.spacing) * grid.spacing
-    y, x = (start + (np.arange(count) + 0.5) * side
-            for start, count in zip(grid.origin[::-1], flow.level.shape, strict=True))  # fmt: skip
-    low, high = place.origin, np.add(place.origin, place.size)
-    inside = np.outer((y > low[1]) & (y < high[1]), (x > low[0]) & (x < high[0]))
-    found = []
-    for faces, axis in ((flow.east, 1), (flow.north, 0)):
-        before = np.pad(inside, [(0, 0), (1, 0)] if axis else [(1, 0), (0, 0)])
-        after = np.pad(inside, [(0, 0), (0, 1)] if axis else [(0, 1), (0, 0)])
-        for comes, back in ((~before & after & (faces > 0), 0), (before & ~after & (faces < 0), 1)):
-            rows, columns = np.nonzero(comes)
-            cells = (rows, columns - back) if axis else (rows - back, columns)
-            found += zip(x[cells[1]], y[cells[0]], np.abs(faces[comes]), strict=True)
-    return found
-
-
-def with_streams(terrain, standing, rain, inflow=()):
+def with_streams(terrain, standing, rain):
     """Return the water at rest with the streams of a steady rain.
 
     Parameters
     ----------
-    terrain, standing, rain, inflow
+    terrain, standing, rain
         As `run_off` takes them.
 
     Returns
@@ -160,9 +117,9 @@ def with_streams(terrain, standing, rain, inflow=()):
     """
     depth = np.array(standing, np.float64)
     velocity = np.zeros((2, *depth.shape), np.float32)
-    if not np.any(rain > 0) and not len(inflow):
+    if not np.any(rain > 0):
         return depth, velocity
-    flow = run_off(terrain, standing, rain, inflow)
+    flow = run_off(terrain, standing, rain)
     k = block_cells(terrain.grid.spacing)
     side = k * terrain.grid.spacing
     x, y = (part / side for part in flow.discharge)

@@ -12,8 +12,8 @@ def test_a_short_street(tmp_path):
     exact, fine, coarse = found["rows"]
     assert exact["detail"] == 0 and fine["median_db"] > 30 > coarse["median_db"] > 20
     assert exact["splats"] > fine["splats"] > coarse["splats"] > 0
-    assert found["cut"]["same"] and found["cut"]["windows"] == 1  # of wide cells
-    assert [row["window"] for row in found["drive"]] == [True] + [False] * (lod.STRETCH - 1)
+    assert found["cut"]["same"] and found["cut"]["legs"] == 1  # of wide cells
+    assert [row["leg"] for row in found["drive"]] == [True] + [False] * (lod.STRETCH - 1)
     for row in found["drive"]:
         assert abs(row["residual"]) < 1e-6 and row["peak"] >= row["resident"] > 0
     for row in found["alone"]:
@@ -28,7 +28,7 @@ def test_a_short_street_from_end_to_end(tmp_path):
     found = lod.run(quick=True, length=40.0, folder=tmp_path / "street", whole=True)
     rows = found["drive"]
     assert [row["frame"] for row in rows] == list(range(0, 76, 3))
-    assert rows[0]["window"] and rows[-1]["x"] - rows[0]["x"] > 30
+    assert rows[0]["leg"] and rows[-1]["x"] - rows[0]["x"] > 30
     for row in rows:
         assert abs(row["residual"]) < 1e-6 and row["peak"] >= row["resident"] > 0
     table = lod.table(found)

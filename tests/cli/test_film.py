@@ -434,17 +434,26 @@ def test_video_has_all_frames(film, tmp_path):
     assert "video.mp4" in record(tmp_path / "out")["files"]
 
 
-def test_ground_along_the_path_gives_a_frame_of_a_drive_by_itself(rainsim, scene_folder, tmp_path):
+def test_a_drive_of_two_legs_gives_a_frame_by_itself_and_goes_on(
+    rainsim, scene_folder, tmp_path, monkeypatch
+):
+    for name, value in {"AHEAD": 0.5, "BEHIND": 0.2, "ASIDE": 0.5, "LEG_CELLS": 100}.items():
+        monkeypatch.setattr(f"rainsim.terrain.path_ground.{name}", value)
     how = ["run", "--scene", scene_folder, "--spacing", "0.1", "--width", "64", "--drive"]
     how += ["--preset", "moderate", "--ground-map", "path"]
     done = rainsim(*how, "--out", "all")
     assert done.code == 0, done.err
-    assert "ground map along the path: " in done.err
+    assert "ground map along the path: " in done.err and " legs of at most" in done.err
     assert rainsim(*how, "--frame-range", "2:3", "--out", "one").code == 0
     assert list(pictures(tmp_path / "one")) == ["00002.png"]
     name = "frames/00002.png"
     assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "all" / name).read_bytes()
     assert record(tmp_path / "all")["settings"]["terrain"]["ground_map"] == "path"
+    whole = pictures(tmp_path / "all")
+    (tmp_path / "all" / name).unlink()
+    assert rainsim(*how, "--out", "all", "--resume").code == 0
+    assert (tmp_path / "all" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
+    assert list(pictures(tmp_path / "all")) == list(whole)
 
 
 @pytest.mark.parametrize(

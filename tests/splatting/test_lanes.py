@@ -1,8 +1,12 @@
 """Which blocks of pixels a splat can reach, and how threads share out the rows of a picture."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
+from rainsim import jit
 from rainsim.jit import TAKERS, none_taken, prange, serial_kernel, set_threads, take_next
 from rainsim.jit import cpu_kernel as parallel
 from rainsim.splatting.lanes import (
@@ -137,3 +141,13 @@ def test_a_block_is_blended_as_plain_numbers_are(rng, half, drop, count):
     np.testing.assert_allclose(state, wanted, rtol=1e-4, atol=2e-5)
     assert more == (wanted[0] > 1e-4).any()
     assert (wanted[0] < 0).any() == (drop and count == 60)
+
+
+def test_kernels_do_not_run_beside_each_other_in_layers_that_know_one_thread(monkeypatch):
+    monkeypatch.setattr(jit.numba, "threading_layer", lambda: "workqueue")
+    assert not jit.may_run_beside()
+    monkeypatch.setattr(jit.numba, "threading_layer", lambda: "omp")
+    assert jit.may_run_beside()
+    code = "from rainsim import jit; print(jit.may_run_beside())"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "False"  # no kernel has run: the layer is not known yet

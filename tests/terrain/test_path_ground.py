@@ -1,7 +1,6 @@
-"""Ground along a path: windows, the water in them, and frames by themselves and in sequence."""
+"""Ground along a path: legs, the water in them, and frames by themselves and in sequence."""
 
 import math
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -12,24 +11,28 @@ from made_road import CONFIG, DRIVE, SPACING, camera, frames, road
 from rainsim import pipeline, simulation
 from rainsim.config.settings import TerrainConfig, mm_per_hour
 from rainsim.errors import BackendError, ParameterError
-from rainsim.render import window_ahead
+from rainsim.rain.exposure import rain_exposure
+from rainsim.scene.cameras import look_at
 from rainsim.scene.painted import PaintedClasses
-from rainsim.simulation import steady_water
+from rainsim.simulation import simulate, steady_water
 from rainsim.terrain import path_ground
-from rainsim.terrain.path_ground import follows_path, part_of
+from rainsim.terrain.path_ground import AHEAD, LEG_CELLS, follows_path, legs_of
 from rainsim.terrain.types import UNKNOWN
 
 small, scene = made_road.small, made_road.scene  # fixtures
 ground, drive = made_road.ground, made_road.drive
+LAST = CONFIG.frames - 1
 
 # --- frames ---------------------------------------------------------------------------------------
 
 
 def test_a_frame_by_itself_has_the_bytes_of_the_drive(scene, ground, drive):
-    switches = [station.first for station in ground.stations]
+    switches = [leg.first for leg in ground.legs]
     assert len(switches) > 2
-    for index in (switches[1], switches[2] - 1, CONFIG.frames - 1):
+    for index in (switches[1], switches[2] - 1, LAST):
         assert frames(scene, ground, [index])[index] == drive[index], index
+    some = [switches[1] - 2, switches[1], switches[1] + 2]  # as a run that goes on draws them
+    assert frames(scene, ground, some) == {index: drive[index] for index in some}
     assert len(set(drive.values())) == CONFIG.frames
 
 
@@ -42,22 +45,20 @@ def test_other_threads_and_earlier_frames_again_give_the_same_bytes(scene, drive
         assert report.index == index and picture.tobytes() == drive[index], index
 
 
-def test_a_late_frame_simulates_only_its_own_window(scene, ground, drive, monkeypatch):
+def test_a_late_frame_makes_and_simulates_only_its_own_leg(scene, ground, drive, monkeypatch):
     begun = []
 
-    def watched(terrain, config, begin):
-        for state in simulation.simulate(terrain, config, begin=begin):
-            begun.append((begin.number, state.index, state.depth.shape))
+    def watched(terrain, config, first):
+        for state in simulation.simulate(terrain, config, first=first):
+            begun.append((first, state.index, state.depth.shape))
             yield state
 
-    monkeypatch.setattr(window_ahead, "simulate", watched)
-    last = CONFIG.frames - 1
-    station = ground.station(last)
-    assert frames(scene, ground, [last])[last] == drive[last]
-    first = station.start(CONFIG)
-    assert 0 < first <= station.first - 3
-    shape = station.cells[1] - station.cells[0], station.cells[3] - station.cells[2]
-    assert begun == [(first, n, shape) for n in range(first, last + 1)]
+    monkeypatch.setattr(pipeline, "simulate", watched)
+    leg = ground.leg(LAST)
+    assert frames(scene, ground, [LAST])[LAST] == drive[LAST]
+    first = leg.start(CONFIG)
+    assert 0 < first == leg.first - 3
+    assert begun == [(first, n, leg.grid.shape) for n in range(first, LAST + 1)]
 
 
 def test_a_frame_by_itself_is_that_of_the_drive_while_the_weather_changes(scene, ground, drive):
@@ -66,24 +67,38 @@ def test_a_frame_by_itself_is_that_of_the_drive_while_the_weather_changes(scene,
         (1.5, (("rate", mm_per_hour(60.0)), ("past", 3e-3), ("cloudiness", 1.0))),
     )
     config = CONFIG.replace(keyframes=keys)
-    last = CONFIG.frames - 1
     every = frames(scene, ground, range(CONFIG.frames), config=config)
-    assert frames(scene, ground, [last], config=config)[last] == every[last] != drive[last]
+    assert frames(scene, ground, [LAST], config=config)[LAST] == every[LAST] != drive[LAST]
 
 
-def test_rain_shows_in_a_late_window(scene, ground, drive):
+def test_the_same_frame_by_the_legs_before_and_after_a_switch(scene, ground, drive):
+    """Ground, light and drops agree; water has run for another time."""
+    before, after = ground.legs[1:3]
+    index = after.first - 1
+    earlier = after._replace(first=index)
+    other = pipeline.ground_of(scene, CONFIG, DRIVE)
+    other.legs = [ground.legs[0], before._replace(end=index), earlier, *ground.legs[3:]]
+    for config, least in ((CONFIG, 30.0), (CONFIG.replace(rate=0.0, past=0.0), 60.0)):
+        pictures = [
+            np.frombuffer(frames(scene, ground, [index], config=config)[index], np.uint8)
+            for ground in (ground, other)
+        ]
+        error = np.mean((pictures[0] / 255.0 - pictures[1] / 255.0) ** 2)
+        assert error <= 10 ** (-least / 10), (least, 10 * math.log10(error))
+
+
+def test_rain_shows_in_a_late_leg(scene, ground, drive):
     dry = CONFIG.replace(rate=0.0, past=0.0)
-    last = CONFIG.frames - 1
-    assert frames(scene, ground, [last], config=dry)[last] != drive[last]
+    assert frames(scene, ground, [LAST], config=dry)[LAST] != drive[LAST]
 
 
 def test_a_path_that_leaves_the_capture_goes_on_over_unknown_ground():
     path = [camera(18.0), camera(24.0), camera(200.0)]
     scene, config = road(path), CONFIG.replace(frames=3)
     ground = pipeline.ground_of(scene, config, path)
-    far = ground.around(scene, ground.station(2))
+    far = ground.terrain(scene, ground.leg(2))
     assert (far.source == UNKNOWN).all() and np.isfinite(far.bed).all()
-    rim = ground.around(scene, ground.station(1))
+    rim = ground.terrain(scene, ground.leg(1))
     assert 0 < np.mean(rim.source == UNKNOWN) < 1
     assert len(frames(scene, ground, [1, 2], path, config)) == 2
 
@@ -91,13 +106,65 @@ def test_a_path_that_leaves_the_capture_goes_on_over_unknown_ground():
 def test_splats_without_a_place_change_nothing(scene, ground):
     bad = replace(scene.splats, position=scene.splats.position.copy())
     bad.position[::500] = np.nan
-    broken, station = replace(scene, splats=bad), ground.stations[1]
-    found = pipeline.ground_of(broken, CONFIG, DRIVE).around(broken, station)
+    broken, leg = replace(scene, splats=bad), ground.legs[1]
+    found = pipeline.ground_of(broken, CONFIG, DRIVE).terrain(broken, leg)
     assert np.isfinite(found.bed).all()
-    assert np.abs(found.bed - ground.around(scene, station).bed).max() < 5e-3
+    assert np.abs(found.bed - ground.terrain(scene, leg).bed).max() < 5e-3
 
 
-# --- windows --------------------------------------------------------------------------------------
+# --- legs -----------------------------------------------------------------------------------------
+
+
+def level(x, y):
+    return np.zeros_like(x)
+
+
+def far_camera(x, y=0.0, heading=0.0):
+    ahead = x + 10 * math.cos(heading), y + 10 * math.sin(heading), 0.5
+    return look_at((x, y, 1.5), ahead, (0, 0, 1), 60, 64, 48, f"{x}")
+
+
+@pytest.fixture
+def usual(monkeypatch):
+    """Legs of the usual size."""
+    sizes = {"BEHIND": 4.0, "AHEAD": AHEAD, "ASIDE": 5.0, "STEP": 2.0, "LEG_CELLS": LEG_CELLS}
+    for name, value in (sizes | {"GROWN": 1.5}).items():
+        monkeypatch.setattr(path_ground, name, value)
+
+
+def test_each_frame_has_one_leg_that_holds_the_ground_ahead_of_it(usual):
+    path = [far_camera(0.5 * n) for n in range(600)]
+    legs = legs_of(path, len(path), 0.02, level)
+    assert [leg.first for leg in legs[1:]] == [leg.end for leg in legs[:-1]]
+    assert legs[0].first == 0 and legs[-1].end == len(path) and 4 < len(legs) < 9
+    for leg in legs:
+        for view in (path[leg.first], path[leg.end - 1]):
+            x = view.position[0] + np.array([0.0, AHEAD - 0.1])
+            assert leg.grid.cells(x, np.zeros(2))[2].all()
+        assert np.allclose(np.array(leg.grid.origin) / 0.02 % 100, 0, atol=1e-6)  # one lattice
+    assert max(np.prod(leg.grid.shape) for leg in legs) <= LEG_CELLS
+    slant = [far_camera(0.3 * n, 0.3 * n, math.pi / 4) for n in range(160)]
+    assert len(slant) / len(legs_of(slant, len(slant), 0.02, level)) > 12
+
+
+def test_a_camera_that_stands_still_has_one_leg_and_one_that_turns_round_another(usual):
+    assert len(legs_of([far_camera(3.0)], 500, 0.02, level)) == 1
+    assert len(legs_of([far_camera(3.0)] * 500, 500, 0.02, level)) == 1
+    there = [far_camera(0.5 * n) for n in range(160)]
+    path = there + [far_camera(view.position[0], heading=math.pi) for view in there[::-1]]
+    legs = legs_of(path, len(path), 0.02, level)
+    assert legs[0].end < 160 < legs[-1].first
+
+
+def test_a_high_camera_needs_the_ground_that_it_looks_at(usual):
+    high = look_at((0, 0, 60), (80, 0, 0), (0, 0, 1), 60, 64, 48, "high")
+    (leg,) = legs_of([high], 1, 0.1, level)
+    assert leg.grid.cells(80.0, 0.0)[2] and not leg.grid.cells(0.0, 0.0)[2]
+
+
+def test_too_many_cells_for_one_camera_are_refused(usual):
+    with pytest.raises(ParameterError, match="larger --spacing"):
+        legs_of([far_camera(0.0, heading=0.7)], 1, 0.005, level)
 
 
 def test_a_path_that_turns_back_and_crosses_itself_finds_the_same_ground(scene):
@@ -106,89 +173,63 @@ def test_a_path_that_turns_back_and_crosses_itself_finds_the_same_ground(scene):
     across = [camera(6.0, -1.0 + 0.5 * n, math.pi / 2) for n in range(4)]
     path = there + back + across
     ground = pipeline.ground_of(scene, CONFIG.replace(frames=len(path)), path)
-    assert ground.station(2) != ground.station(13)
-    beds = [_bed_at(scene, ground, ground.station(n)) for n in (2, 13, 18)]
+    assert ground.leg(2) != ground.leg(13)
+    beds = [_bed_at(scene, ground, ground.leg(n)) for n in (2, 13, 18)]
     assert np.nanmax(np.abs(beds[0] - beds[1])) < 1e-4
     assert np.nanmax(np.abs(beds[0] - beds[2])) < 1e-4
     assert min(np.isfinite(bed).sum() for bed in beds) > 500
 
 
-def _bed_at(scene, ground, station):
-    """The bed over (4 to 8, -1 to 1) m, NaN beyond what the station has."""
-    around = ground.around(scene, station)
+def _bed_at(scene, ground, leg):
+    """The bed over (4 to 8, -1 to 1) m, NaN beyond what the leg has."""
+    terrain = ground.terrain(scene, leg)
     x, y = np.meshgrid(np.arange(4.025, 8, SPACING), np.arange(-0.975, 1, SPACING))
-    row, column, inside = around.grid.cells(x, y)
-    return np.where(inside, around.bed[row, column], np.nan)
+    row, column, inside = terrain.grid.cells(x, y)
+    return np.where(inside, terrain.bed[row, column], np.nan)
 
 
-def test_a_camera_that_stands_still_has_one_window(scene):
-    for path in ([camera(5.0)], [camera(5.0)] * 16):
-        ground = pipeline.ground_of(scene, CONFIG, path)
-        assert len(ground.stations) == 1
-    assert len(pipeline.ground_of(scene, CONFIG, DRIVE).stations) > 1
+# --- water ----------------------------------------------------------------------------------------
 
 
-def test_windows_share_the_strips_that_both_hold(scene, ground, monkeypatch):
-    made = []
-    original = path_ground.arrays_over
-    monkeypatch.setattr(
-        path_ground, "arrays_over", lambda *args: made.append(args[1]) or original(*args)
-    )
-    fresh = pickle.loads(pickle.dumps(ground))
-    assert fresh._last[1] is None
-    first = fresh.around(scene, fresh.stations[0])
-    begun = len(made)
-    fresh.around(scene, fresh.stations[1])
-    assert 0 < len(made) - begun < begun
-    again = fresh.around(scene, fresh.stations[0])
-    assert again.bed.tobytes() == first.bed.tobytes()
+def begun(terrain, config, number):
+    """Depth, velocity and notes of the water with which a leg begins."""
+    return steady_water(terrain, config, rain_exposure(terrain, (0.0, 0.0)), number / config.fps)
 
 
-def test_neighbours_agree_on_the_water_that_stands_in_both(scene, ground):
-    def disagreement(neighbours):
-        depths = []
-        for station in neighbours:
-            around = ground.around(scene, station)
-            depth = steady_water(around, CONFIG, 5).depth
-            depths.append((station, depth[station.window]))
-        west, east = max(s.cells[2] for s, _ in depths), min(s.cells[3] for s, _ in depths)
-        parts = [d[:, west - s.cells[2] : east - s.cells[2]] for s, d in depths]
-        assert parts[0].shape == parts[1].shape and parts[0].max() > 3e-3
-        return np.abs(parts[0] - parts[1]).mean()
-
-    pair = ground.stations[1:3]
-    cut = [station._replace(around=station.cells) for station in pair]
-    assert disagreement(pair) < 0.1 * disagreement(cut)
-
-
-def test_the_ledger_of_a_window_closes_and_says_what_leaves_at_its_borders(scene, ground):
-    station = ground.stations[2]
-    around = ground.around(scene, station)
-    begin = steady_water(around, CONFIG, station.start(CONFIG))
-    window = part_of(around, station.window)
-    begin = begin.within(station.window)
-    run = simulation.simulate(window, CONFIG, begin=begin)
+def test_the_ledger_of_a_leg_closes_and_says_what_leaves_at_its_borders(scene, ground):
+    leg = ground.legs[2]
+    terrain = ground.terrain(scene, leg)
+    depth, _, _ = begun(terrain, CONFIG, leg.start(CONFIG))
+    run = simulate(terrain, CONFIG, first=leg.start(CONFIG))
     for _ in range(12):
         ledger = next(run).ledger
-    assert abs(ledger["residual"]) < 1e-9
-    assert ledger["initial"] == pytest.approx(begin.depth.sum() * SPACING**2)
+    assert abs(ledger["residual"]) < 1e-6
+    assert ledger["initial"] == pytest.approx(depth.sum() * SPACING**2, rel=1e-4)
     assert ledger["rain"] > 0 and ledger["outflow"] > 0
 
 
-def test_rain_before_a_window_stands_in_it_at_the_start(scene, ground):
-    around = ground.around(scene, ground.stations[1])
-    config = CONFIG.replace(past=1e-4)
-    early, late = (steady_water(around, config, n).depth.sum() for n in (0, 150))
+def test_rain_before_a_leg_stands_in_it_at_the_start(scene, ground):
+    terrain, config = ground.terrain(scene, ground.legs[1]), CONFIG.replace(past=1e-4)
+    early, late = (begun(terrain, config, n)[0].sum() for n in (0, 150))
     assert late > 1.5 * early > 0
     drier = config.replace(rate=0.0)
-    first, last = (steady_water(around, drier, n).depth.sum() for n in (0, 150))
+    first, last = (begun(terrain, drier, n)[0].sum() for n in (0, 150))
     assert last == pytest.approx(first) and 0 < first < early
+
+
+def test_a_leg_begins_with_the_streams_of_the_rain_and_without_them_when_it_is_dry(scene, ground):
+    wet = CONFIG.replace(rate=mm_per_hour(300.0), past=0.0)
+    terrain = ground.terrain(scene, ground.legs[2])
+    depth, velocity, _ = begun(terrain, wet, 0)
+    assert depth.max() > 1e-3 and np.abs(velocity).max() > 0.02
+    dry, still, _ = begun(terrain, wet.replace(rate=0.0), 0)
+    assert not dry.any() and not still.any()
 
 
 # --- which ground ---------------------------------------------------------------------------------
 
 
-def test_auto_takes_windows_where_one_map_would_be_too_coarse(scene, monkeypatch):
+def test_auto_takes_legs_where_one_map_would_be_too_coarse(scene, monkeypatch):
     def auto(cameras=DRIVE, backend="cpu", mask=None, **changes):
         config = CONFIG.replace(ground_map="auto", **changes)
         return follows_path(scene, config, cameras, backend, mask)
@@ -236,27 +277,3 @@ def test_one_map_is_never_made_for_the_path(scene):
         pipeline.extract_terrain(scene, CONFIG)
     with pytest.raises(ParameterError, match="one of auto, whole, path"):
         TerrainConfig(ground_map="sideways").check()
-
-
-def test_a_window_begins_with_the_streams_of_the_rain_and_without_them_when_it_is_dry(scene):
-    wet = CONFIG.replace(rate=mm_per_hour(300.0), past=0.0)
-    ground = pipeline.ground_of(scene, wet, DRIVE)
-    around = ground.around(scene, ground.stations[2])
-    begin = steady_water(around, wet, 0, ground.about(around.grid))
-    assert begin.depth.max() > 1e-3 and np.abs(begin.velocity).max() > 0.02
-    dry = steady_water(around, wet.replace(rate=0.0), 0)
-    assert not dry.depth.any() and not dry.velocity.any()
-    again = steady_water(around, wet, 0, ground.about(around.grid))
-    assert again.depth.tobytes() == begin.depth.tobytes()
-
-
-def test_windows_leave_nothing_in_the_folder_of_results(scene, ground, monkeypatch, tmp_path):
-    monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
-    monkeypatch.setattr("rainsim.rain.dripping.LEAST_KEPT", 100)
-    station = ground.stations[1]
-    around = ground.around(scene, station)
-    begin = steady_water(around, CONFIG, 0).within(station.window)
-    next(simulation.simulate(part_of(around, station.window), CONFIG, begin=begin))
-    assert not list(tmp_path.iterdir())
-    next(simulation.simulate(around, CONFIG))
-    assert list(tmp_path.glob("catchments-*"))

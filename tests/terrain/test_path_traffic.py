@@ -1,4 +1,4 @@
-"""Cars over windows of the ground: shadows, tracks, spray and labels, alone and in sequence."""
+"""Cars over legs of a drive: shadows, tracks, spray and labels, alone and in sequence."""
 
 from dataclasses import replace
 
@@ -14,10 +14,10 @@ from rainsim.actors.motion import Track
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import GROUND
 from rainsim.lod.cut import cut
+from rainsim.rain.exposure import rain_exposure
 from rainsim.raster import prepare
 from rainsim.scene.big import open_pages
-from rainsim.simulation import steady_water
-from rainsim.terrain.path_ground import follows_path, part_of, path_ground
+from rainsim.terrain.path_ground import follows_path, path_ground
 
 SIZE = np.array([0.9, 0.6, 0.5])  # m, of the car
 AXLES, WHEEL, TYRE = 0.3, 0.22, (0.1, 0.1)  # m: places of the wheels; width and radius
@@ -63,18 +63,11 @@ def drive(scene, ground):
     return shots(scene, ground, range(CONFIG.frames))
 
 
-def begun(scene, ground, station, config=CONFIG):
-    """What `simulate` takes of a station."""
-    around = ground.around(scene, station)
-    begin = steady_water(around, config, station.start(config))
-    return around, part_of(around, station.window), begin.within(station.window)
-
-
 # --- frames ---------------------------------------------------------------------------------------
 
 
 def test_a_frame_with_traffic_by_itself_has_the_bytes_of_the_drive(scene, ground, drive, threads):
-    switches = [station.first for station in ground.stations]
+    switches = [leg.first for leg in ground.legs]
     assert len(switches) > 2
     for index in (switches[1], LAST):
         picture, numbers, *_ = shots(scene, ground, [index])[index]
@@ -84,7 +77,7 @@ def test_a_frame_with_traffic_by_itself_has_the_bytes_of_the_drive(scene, ground
     assert len({picture for picture, *_ in drive.values()}) == CONFIG.frames
 
 
-def test_the_car_is_labelled_in_every_window(drive):
+def test_the_car_is_labelled_in_every_leg(drive):
     seen = [(numbers == 1).mean() for _, numbers, _, _ in drive.values()]
     assert min(seen) > 0.01 and all(set(np.unique(n)) <= {0, 1} for _, n, _, _ in drive.values())
 
@@ -99,7 +92,7 @@ def test_the_account_of_each_frame_closes(drive):
     assert all(abs(report.ledger["residual"]) < 1e-6 for _, _, report, _ in drive.values())
 
 
-def test_auto_takes_windows_with_traffic(scene, monkeypatch):
+def test_auto_takes_legs_with_traffic(scene, monkeypatch):
     config = CONFIG.replace(ground_map="auto")
     assert not follows_path(scene, config, DRIVE)
     monkeypatch.setattr("rainsim.terrain.path_ground.MOST_CELLS", 20_000)
@@ -114,7 +107,7 @@ def test_chunks_with_traffic_follow_the_path(scene, tmp_path):
     static = replace(scene, splats=splats, pages=pages, source_hash=digest, actors=())
     chunks = with_actors(static, [car()])
     ground = path_ground(chunks, CONFIG, DRIVE)[0]
-    two = ground.stations[1].first
+    two = ground.legs[1].first
     every = shots(chunks, ground, [two - 1, two, two + 1])
     alone = shots(chunks, ground, [two + 1])
     assert alone[two + 1][0] == every[two + 1][0]
@@ -124,12 +117,12 @@ def test_chunks_with_traffic_follow_the_path(scene, tmp_path):
 # --- water ----------------------------------------------------------------------------------------
 
 
-def test_no_drop_lands_under_the_car_in_a_window(scene, ground):
-    station = ground.stations[1]
-    _, part, begin = begun(scene, ground, station)
-    run = simulation.simulate(part, CONFIG.replace(rate=mm_per_hour(200.0)), begin=begin)
+def test_no_drop_lands_under_the_car_in_a_leg(scene, ground):
+    leg = ground.legs[1]
+    start, terrain = leg.start(CONFIG), ground.terrain(scene, leg)
+    run = simulation.simulate(terrain, CONFIG.replace(rate=mm_per_hour(200.0)), first=start)
     under = beside = 0
-    for _, state in zip(range(station.end - begin.number), run, strict=False):
+    for _, state in zip(range(leg.end - start), run, strict=False):
         middle = state.time - 0.5 / CONFIG.fps
         away = np.abs(state.impact_position[:, :2] - (FIRST + SPEED * middle, 0.0))
         landed = state.impact_kind == GROUND
@@ -138,13 +131,12 @@ def test_no_drop_lands_under_the_car_in_a_window(scene, ground):
     assert under == 0 and beside > 5
 
 
-def test_a_parked_car_keeps_its_ground_dry_in_a_window(scene):
+def test_a_parked_car_keeps_its_ground_dry_in_a_leg(scene):
     x = DRIVE[LAST].position[0] + 1.5
     parked = with_actors(road(DRIVE), [car(first=x, parked=True)])
     ground = path_ground(parked, CONFIG, DRIVE)[0]
-    station = ground.station(LAST)
-    around, _, _ = begun(parked, ground, station)
-    row, column, _ = around.grid.cells(np.array([x, x]), np.array([0.0, 1.2]))
-    assert steady_water(around, CONFIG, 9).exposure[row, column][0] == 0
-    assert steady_water(around, CONFIG, 9).exposure[row, column][1] > 0.9
+    terrain = ground.terrain(parked, ground.leg(LAST))
+    row, column, _ = terrain.grid.cells(np.array([x, x]), np.array([0.0, 1.2]))
+    reach = rain_exposure(terrain, (0.0, 0.0))[row, column]
+    assert reach[0] == 0 and reach[1] > 0.9
     assert len(prepare(parked.splats)) and shots(parked, ground, [LAST])

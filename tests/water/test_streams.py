@@ -11,9 +11,8 @@ from rainsim.shading import ground_slopes as slopes_module
 from rainsim.shading.ground_slopes import ground_slopes
 from rainsim.terrain.table import DRAIN, HARD, class_table
 from rainsim.terrain.types import MEASURED, Grid, Terrain
-from rainsim.water import streams
 from rainsim.water.puddles import puddles_of
-from rainsim.water.streams import BLOCK, run_in, run_off, with_streams
+from rainsim.water.streams import BLOCK, run_off, with_streams
 
 SPACING, SLOPE, RAIN = 0.02, 0.02, 4e-4  # m, of the road, m/s
 LONG, WIDE, KERB, CAMBER = 12.8, 2.56, 0.1, 0.05  # m, m, m, slope to the kerb
@@ -150,26 +149,7 @@ def test_drains_and_lawns_take_the_stream():
     assert 0 < after < 0.5 * before
 
 
-def test_streams_from_beyond_a_part_run_on_in_it(monkeypatch):
-    road = gutter()
-    still, rain = np.zeros(road.bed.shape), np.full(road.bed.shape, RAIN)
-    half = road.bed.shape[1] // 2
-    grid = Grid((road.bed.shape[0], half), (half * SPACING, 0.0), SPACING)
-    east = np.s_[:, half:]
-    part = replace(terrain_of(road.bed[east]), grid=grid, ground_class=road.ground_class[east])
-    whole = run_off(road, still, rain)
-    coarse = Grid(whole.level.shape, (0.0, 0.0), streams.block_cells(SPACING) * SPACING)
-    comes = run_in(whole, coarse, grid)
-    assert sum(q for _, _, q in comes) == pytest.approx(whole.east[:, half // 8].sum(), rel=0.05)
-    column = -8
-    wanted = whole.east[:, column].sum()
-    alone = run_off(part, still[east], rain[east])
-    joined = run_off(part, still[east], rain[east], comes)
-    assert joined.east[:, column].sum() == pytest.approx(wanted, rel=0.08)
-    assert alone.east[:, column].sum() < 0.7 * wanted
-
-
-# --- the ground of a window -----------------------------------------------------------------------
+# --- slopes of the ground -------------------------------------------------------------------------
 
 
 def test_slopes_of_ground_made_in_parts_are_those_of_the_whole(monkeypatch):
