@@ -12,12 +12,8 @@ BACKENDS = ("cpu", "cuda")
 def on_backend(backend):
     """Return the renderer class and the `simulate` function of a backend.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such backend.
-    BackendError
-        If it cannot run here; the message names the remedy.
+    Raises ParameterError if there is no such backend.
+    Raises BackendError if it cannot run here; the message names the remedy.
     """
     require_choice("backend", backend, BACKENDS)
     if backend == "cpu":

@@ -59,14 +59,7 @@ _STEEP = 4.0  # room for hits per hit on level ground; walls in wind catch more 
 class Weather:
     """The rain and the wind of a configuration's timeline at any time.
 
-    Parameters
-    ----------
-    config : Config
-
-    Attributes
-    ----------
-    rains : bool
-        Whether it rains at any time.
+    rains : bool. Whether it rains at any time.
     """
 
     def __init__(self, config):
@@ -180,35 +173,26 @@ class Weather:
 class RainField:
     """All drops of a steady rain in a steady wind, everywhere and at every time.
 
-    Parameters
-    ----------
     spectrum : RainSpectrum
-    wind : (float, float) [m/s]
-        Horizontal velocity of the air along x and y.
-    seed : int
-        Rains of different seeds are independent. At the same seed a lighter rain's drops are,
-        nearly all, among a heavier one's.
-    offset : (float, float) [m]
-        How much farther the air has come along x and y than this wind alone would have taken it,
-        for a wind that was another before.
-    follow : ndarray of shape (CLASSES,), float64 or None
-        Horizontal speed of each class over the wind's, see `rainsim.rain.wind.wind_shares`; None
-        for a wind that is the same at all heights, which all drops follow.
-    heaviest : RainSpectrum or None
-        The rain whose drops are listed, if it changes; `spectrum` is then only what it is now.
-    share : ndarray of shape (CLASSES, n), float64 or None
-        The share of those drops that there are, at n even times of passing z = 0; the first and
-        last hold before and after.
-    clock : (float, float) [s]
-        The first of those times and the step.
-
-    Attributes
-    ----------
-    velocity : ndarray of shape (CLASSES, 3), float64 [m/s]
-    cube : ndarray of shape (CLASSES,), float64 [m]
-        Side of the cubes in which the class is listed.
-    mean_count : ndarray of shape (CLASSES,), float64
-        Drops in one of them.
+    wind : (float, float) [m/s]. Horizontal velocity of the air along x and y.
+    seed : int. Rains of different seeds are independent. At the same seed a
+        lighter rain's drops are, nearly all, among a heavier one's.
+    offset : (float, float) [m]. How much farther the air has come along x and y
+        than this wind alone would have taken it, for a wind that was another
+        before.
+    follow : float64 array (CLASSES,) or None. Horizontal speed of each class over
+        the wind's, see `rainsim.rain.wind.wind_shares`; None for a wind that is
+        the same at all heights, which all drops follow.
+    heaviest : RainSpectrum or None. The rain whose drops are listed, if it
+        changes; `spectrum` is then only what it is now.
+    share : float64 array (CLASSES, n) or None. The share of those drops that
+        there are, at n even times of passing z = 0; the first and last hold
+        before and after.
+    clock : (float, float) [s]. The first of those times and the step.
+    velocity : float64 array (CLASSES, 3) [m/s]
+    cube : float64 array (CLASSES,) [m]. Side of the cubes in which the class is
+        listed.
+    mean_count : float64 array (CLASSES,). Drops in one of them.
     """
 
     def __init__(
@@ -249,15 +233,10 @@ class RainField:
     def drops_in_box(self, time, low, high):
         """List the drops in the box low <= position < high at `time`.
 
-        Parameters
-        ----------
         time : float [s]
-        low, high : array_like of shape (3,) or (CLASSES, 3) [m]
-            Of each class if they differ: cubes of a class that touch its own box are listed.
-
-        Returns
-        -------
-        Drops
+        low, high : array_like of shape (3,) or (CLASSES, 3) [m]. Of each class if
+            they differ: cubes of a class that touch its own box are listed.
+        Returns Drops
         """
         time = require_finite("time", time)
         low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
@@ -281,16 +260,11 @@ class RainField:
     def cubes_in(self, low, high, start, duration=0.0):
         """Return the first and last cubes of the drops that come through a box in an interval.
 
-        Parameters
-        ----------
-        low, high : ndarray of shape (3,) or (CLASSES, 3) [m]
-            Corners of the box, of each class if they differ.
-        start, duration : float or ndarray of shape (CLASSES, 1) [s]
-
-        Returns
-        -------
-        first, last : ndarray of shape (CLASSES, 3), int64
-            Along x, y and z; none if the last is less.
+        low, high : array (3,) or (CLASSES, 3) [m]. Corners of the box, of each
+            class if they differ.
+        start, duration : float or array (CLASSES, 1) [s]
+        Returns first, last : int64 array (CLASSES, 3). Along x, y and z; none if
+            the last is less.
         """
         space = self.velocity, self._offset, self.cube[:, None]
         first, last = cubes_along(low, high, start, duration, *space)
@@ -301,13 +275,11 @@ class RainField:
 class Drops:
     """Drops in the air at one time.
 
-    Attributes
-    ----------
-    position : ndarray of shape (n, 3), float64 [m]
-    velocity : ndarray of shape (n, 3), float64 [m/s]
-    diameter : ndarray of shape (n,), float64 [m]
-    id : ndarray of shape (n,), uint64
-        The drop's own random word: the same at all times; ascending.
+    position : float64 array (n, 3) [m]
+    velocity : float64 array (n, 3) [m/s]
+    diameter : float64 array (n,) [m]
+    id : uint64 array (n,). The drop's own random word: the same at all times;
+        ascending.
     """
 
     position: np.ndarray
@@ -357,21 +329,14 @@ def impacts(field, surfaces, start, stop, smallest=0.0, within=None):
     path before `start` counts: under a roof there are no drops. Drops that come in over the map's
     edge below the highest top count if nothing on the map was in their way.
 
-    Parameters
-    ----------
     field : RainField
-    surfaces : Surfaces
     start, stop : float [s]
-    smallest : float [m]
-        Classes that hold smaller drops only are not listed.
-    within : ndarray of shape (2, 2) [m] or None
-        Low and high corner (x, y): only hits inside are listed.
-
-    Returns
-    -------
-    Impacts
-        Sorted by drop id. Their volume is all the water that tracked drops bring; the drops under
-        `size_distribution.SMALLEST` come besides, as `field.spectrum.fine_rate`.
+    smallest : float [m]. Classes that hold smaller drops only are not listed.
+    within : array (2, 2) [m] or None. Low and high corner (x, y): only hits
+        inside are listed.
+    Returns Impacts. Sorted by drop id. Their volume is all the water that tracked
+        drops bring; the drops under `size_distribution.SMALLEST` come besides, as
+        `field.spectrum.fine_rate`.
     """
     start = require_finite("start", start)
     duration = require_not_negative("stop - start", stop - start, "s")

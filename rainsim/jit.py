@@ -99,10 +99,7 @@ def take_next(taken):
     the dearer parts, or that other programs keep from its core. Only for parts whose results do
     not depend on who takes them, and when.
 
-    Parameters
-    ----------
-    taken : ndarray of shape (1,), int64
-        Iterations that have been taken, see `none_taken`.
+    taken : int64 array (1,). Iterations that have been taken, see `none_taken`.
     """
     count = taken[0]
     taken[0] += 1

@@ -17,25 +17,18 @@ WHEREABOUTS = (
 class Ledger:
     """Water volumes [m3] in float64, by where the water came from and where it is.
 
-    Attributes
-    ----------
-    initial : float
-        Water that lay on the map when the account was opened.
-    rain : float
-        Rain since then, as a rate or as drops; with airborne water every drop that was released.
-    inflow : float
-        Water that came from outside the map: through a `Stage` or a `Discharge`, and where
-        keyframes raise the water level.
-    ground : float
-        Water on the ground that can flow, with the traces too thin to flow.
-    film : float
-        Water held back by the storage of the cells.
-    airborne : float
-        Drops in the air.
-    obstacles : float
-        Drops that hit an occluder.
-    infiltrated, drained, outflow : float
-        Water that left through the ground, drains and open edges.
+    initial : float. Water that lay on the map when the account was opened.
+    rain : float. Rain since then, as a rate or as drops; with airborne water
+        every drop that was released.
+    inflow : float. Water that came from outside the map: through a `Stage` or a
+        `Discharge`, and where keyframes raise the water level.
+    ground : float. Water on the ground that can flow, with the traces too thin to
+        flow.
+    film : float. Water held back by the storage of the cells.
+    airborne : float. Drops in the air.
+    obstacles : float. Drops that hit an occluder.
+    infiltrated, drained, outflow : float. Water that left through the ground,
+        drains and open edges.
     """
 
     initial: float = 0.0

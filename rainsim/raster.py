@@ -43,23 +43,23 @@ __all__ = ["Layers", "PreparedSplats", "Rasterizer", "prepare", "rasterize", "se
 class Layers:
     """A splatted picture.
 
-    Attributes
-    ----------
-    color : ndarray of shape (height, width, 3), float32
-        Display-referred, over black (multiplied by alpha) or the background asked for.
-    alpha : ndarray of shape (height, width), float32
-    depth : ndarray of shape (height, width), float32 [world units]
-        Depth along the camera's z axis: the mean over the splats' centres, weighted as the colour
-        is, or the centre of the splat at which half of the light is stopped ("median"); infinite
-        where alpha is below 0.02 (or, for the median, never reaches a half).
-    plane_depth : ndarray of shape (height, width), float32 [world units]
-        Depth at which the pixel's ray meets the blended plane of the splats (PGSR, Chen et al.
-        2024, eq. 4): exact on flat surfaces. Equals `depth` where the plane is seen edge-on.
-    normal : ndarray of shape (height, width, 3), float32
-        Unit, camera frame, towards the camera; zero where there is no depth.
-    hit : ndarray of shape (height, width), int32, or None
-        If asked for: index, in the scene that was prepared, of the splat at which half of the light
-        is stopped; -1 where alpha never reaches a half.
+    color : float32 array (height, width, 3). Display-referred, over black
+        (multiplied by alpha) or the background asked for.
+    alpha : float32 array (height, width)
+    depth : float32 array (height, width) [world units]. Depth along the camera's
+        z axis: the mean over the splats' centres, weighted as the colour is, or
+        the centre of the splat at which half of the light is stopped ("median");
+        infinite where alpha is below 0.02 (or, for the median, never reaches a
+        half).
+    plane_depth : float32 array (height, width) [world units]. Depth at which the
+        pixel's ray meets the blended plane of the splats (PGSR, Chen et al. 2024,
+        eq. 4): exact on flat surfaces. Equals `depth` where the plane is seen
+        edge-on.
+    normal : float32 array (height, width, 3). Unit, camera frame, towards the
+        camera; zero where there is no depth.
+    hit : int32 array (height, width), or None. If asked for: index, in the scene
+        that was prepared, of the splat at which half of the light is stopped; -1
+        where alpha never reaches a half.
     """
 
     color: np.ndarray
@@ -73,8 +73,6 @@ class Layers:
 class Rasterizer:
     """Draws prepared splats; keeps its working memory from one picture to the next.
 
-    Parameters
-    ----------
     prepared : PreparedSplats
     """
 
@@ -105,36 +103,30 @@ class Rasterizer:
     ):  # fmt: skip
         """Return the `Layers` that `camera` sees; the same bytes for any number of threads.
 
-        Parameters
-        ----------
-        camera : Camera
-            Its matrix may also be a rotation with a reflection: a mirrored view.
-        near : float [world units]
-            Splats whose centres are nearer are left out.
-        plane : array_like of shape (4,), optional
-            (a, b, c, d): splats whose centres have a x + b y + c z < d are left out.
+        camera : Camera. Its matrix may also be a rotation with a reflection: a
+            mirrored view.
+        near : float [world units]. Splats whose centres are nearer are left out.
+        plane : array_like of shape (4,), optional. (a, b, c, d): splats whose
+            centres have a x + b y + c z < d are left out.
         depth : {"expected", "median"}
-        compensate : bool
-            Weaken splats that the low-pass widens, as Mip-Splatting does; always done where the
-            prepared splats ask for it.
-        degree : int, optional
-            Highest degree of spherical harmonics used; all by default.
-        background : array_like of shape (3,)
-            Display-referred colour behind all splats.
-        hit : bool
-            Also tell each pixel's splat; costs nothing if `depth` is "median", else one more
-            blending.
-        drop_last : bool
-            Leave out, as gsplat and the original code do, the splat that would bring a pixel's
-            transmittance under 1e-4, and all behind it, however bright.
-        leading : bool
-            Leave out the splats that were prepared to come last.
-        detail : float [px]
-            Where the prepared splats have levels of detail (`splatting.detail`): splats are merged
-            in cells that take at most so much of the picture; 0: all are drawn as they are.
-        among : ndarray of int64, optional
-            Chunks of which the picture is drawn, in the order that splats of one depth are taken
-            in; without it all. Neither `leading` nor `detail` choose among them.
+        compensate : bool. Weaken splats that the low-pass widens, as
+            Mip-Splatting does; always done where the prepared splats ask for it.
+        degree : int, optional. Highest degree of spherical harmonics used; all by
+            default.
+        background : array_like of shape (3,). Display-referred colour behind all
+            splats.
+        hit : bool. Also tell each pixel's splat; costs nothing if `depth` is
+            "median", else one more blending.
+        drop_last : bool. Leave out, as gsplat and the original code do, the splat
+            that would bring a pixel's transmittance under 1e-4, and all behind
+            it, however bright.
+        leading : bool. Leave out the splats that were prepared to come last.
+        detail : float [px]. Where the prepared splats have levels of detail
+            (`splatting.detail`): splats are merged in cells that take at most so
+            much of the picture; 0: all are drawn as they are.
+        among : int64 array, optional. Chunks of which the picture is drawn, in
+            the order that splats of one depth are taken in; without it all.
+            Neither `leading` nor `detail` choose among them.
         """
         require_choice("depth", depth, ("expected", "median"))
         background = np.asarray(background, np.float32)
@@ -152,21 +144,15 @@ class Rasterizer:
     def weigh(self, camera, near, part, step=1):
         """Return how much light each splat gives to parts of a picture.
 
-        Parameters
-        ----------
-        camera : Camera
         near : float [world units]
-        part : ndarray of shape (height, width), int8
-            -1 for the pixels of the first part, 1 for the second, 0 for the third.
-        step : int [px]
-            Every step-th pixel of every step-th row is asked, and stands for those around it.
-
-        Returns
-        -------
-        ndarray of shape (n, 4) [px]
-            For each splat of the scene that was prepared the sum over each part's pixels of its
-            opacity there times the transmittance of the splats before it. Last, the sum of its
-            opacity over the second part, as if no splat stood before it.
+        part : int8 array (height, width). -1 for the pixels of the first part, 1
+            for the second, 0 for the third.
+        step : int [px]. Every step-th pixel of every step-th row is asked, and
+            stands for those around it.
+        Returns array (n, 4) [px]. For each splat of the scene that was prepared
+            the sum over each part's pixels of its opacity there times the
+            transmittance of the splats before it. Last, the sum of its opacity
+            over the second part, as if no splat stood before it.
         """
         chunks, start = self._list(camera, near, None, self.prepared.compensate, None)
         weight = np.empty((start[-1], 4), np.float32)

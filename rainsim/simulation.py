@@ -185,14 +185,8 @@ def simulate(terrain, config, dtype=np.float32, first=None):
 def ripple_tile(config, weather, depth, spacing):
     """Return the `RippleTile` of a run.
 
-    Parameters
-    ----------
-    config : Config
-    weather : Weather
-    depth : ndarray of shape (ny, nx) [m]
-        Of the water at the start.
-    spacing : float [m]
-        Width of a cell.
+    depth : array (ny, nx) [m]. Of the water at the start.
+    spacing : float [m]. Width of a cell.
     """
     film, rate = config.water.surface_film, weather.mean_rate
     chord = mean_chord(depth, spacing, RIPPLE_DEPTHS[0])
@@ -233,11 +227,7 @@ def usual_wind(config):
 def warm_up(ripples, objects, weather, time=0.0):
     """Let the rain before a time [s] spread rings on the tile and wet the edges of objects.
 
-    Parameters
-    ----------
     ripples : RippleTile
-    objects : Objects
-    weather : Weather
     time : float [s]
     """
     for begin, end in _steps(RIPPLE_WARM_UP, time):

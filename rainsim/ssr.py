@@ -57,21 +57,13 @@ class MarchSettings(NamedTuple):
 def march(blocks, view, start, direction, settings):
     """Find the first hit of a ray with the surfaces that a picture shows.
 
-    Parameters
-    ----------
     blocks : DepthBlocks
-    view : View
-        Of the picture; only its lens counts.
-    start : tuple of three float32 [m]
-        In the camera frame.
-    direction : tuple of three float32
-        Unit, in the camera frame.
+    view : View. Of the picture; only its lens counts.
+    start : tuple of three float32 [m]. In the camera frame.
+    direction : tuple of three float32. Unit, in the camera frame.
     settings : MarchSettings
-
-    Returns
-    -------
-    distance : float32 [m]
-        Along the ray; negative if nothing was met within the picture.
+    Returns distance : float32 [m]. Along the ray; negative if nothing was met
+        within the picture.
     """
     depth, bounds = blocks.depth, blocks.bounds
     thickness, stride = settings.thickness, settings.stride
@@ -141,17 +133,13 @@ def screen_line(view, w, h, start, direction, farthest):
 
     At length s, with q = s / (z (z + s dz)), the picture shows the ray (du, dv) q from its start.
 
-    Returns
-    -------
-    u0, v0, iz : float32
-        Image point [px] and 1/z [1/m] of the start.
-    du, dv, diz : float32
-        What each pixel of way adds to them; the larger of |du| and |dv| is 1.
-    inv : float32
-        q over the way.
-    end : float32 [px]
-        Of the line: where the search, the picture or the near plane ends it; below 1 if the
-        picture shows next to nothing of the ray.
+    Returns u0, v0, iz : float32. Image point [px] and 1/z [1/m] of the start.
+        du, dv, diz : float32. What each pixel of way adds to them; the larger of
+            |du| and |dv| is 1.
+        inv : float32. q over the way.
+        end : float32 [px]. Of the line: where the search, the picture or the near
+            plane ends it; below 1 if the picture shows next to nothing of the
+            ray.
     """
     x, y, z = start
     dx, dy, dz = direction
@@ -217,10 +205,8 @@ def block_bounds(depth, bounds_out):
     First of the blocks, row by row, then of each with its neighbours, kind by kind; then the same
     of the wide blocks.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [m]
-        Infinite where nothing can be hit: that does not count.
+    depth : float32 array (height, width) [m]. Infinite where nothing can be hit:
+        that does not count.
     bounds_out : ndarray of shape `bounds_of(height, width)`, float32 [m]
     """
     height, width = depth.shape

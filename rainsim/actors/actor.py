@@ -29,9 +29,7 @@ class ColorSeries(NamedTuple):
     the factor cos(pi p j) for even j and sin(pi p (j + 1)) for odd j (Street Gaussians, Yan et al.
     2024, equation 5, as an inverse real discrete Fourier transform of the phase).
 
-    Attributes
-    ----------
-    terms : ndarray of shape (n, m, 3), float32
+    terms : float32 array (n, m, 3)
     begin, end : float [s]
     """
 
@@ -51,27 +49,22 @@ class ColorSeries(NamedTuple):
 class Actor:
     """A rigid thing that moves, or could.
 
-    Attributes
-    ----------
-    id : str
-        Of the track; differs from actor to actor.
-    kind : str
-        Class of the thing, such as car.
-    splats : Splats
-        In the actor frame, lengths in capture units.
-    box : ndarray of shape (2, 3), float64 [capture units]
-        Centre and size of the actor's box along the axes of the actor frame.
+    id : str. Of the track; differs from actor to actor.
+    kind : str. Class of the thing, such as car.
+    splats : Splats. In the actor frame, lengths in capture units.
+    box : float64 array (2, 3) [capture units]. Centre and size of the actor's box
+        along the axes of the actor frame.
     track : Track
-    series : ColorSeries or None
-        Colours over time in place of the first coefficients of `splats`.
-    turning : bool
-        Whether the harmonics turn with the actor. Models that were trained with directions of the
-        capture frame have harmonics that do not (Street Gaussians, drivestudio).
-    wheels : ndarray of shape (n, 5), float64 [capture units], or None
-        x, y, z of the middle of each tyre's contact patch in the actor frame, the tyre's width and
+    series : ColorSeries or None. Colours over time in place of the first
+        coefficients of `splats`.
+    turning : bool. Whether the harmonics turn with the actor. Models that were
+        trained with directions of the capture frame have harmonics that do not
+        (Street Gaussians, drivestudio).
+    wheels : float64 array (n, 5) [capture units], or None. x, y, z of the middle
+        of each tyre's contact patch in the actor frame, the tyre's width and
         radius. None: those that the class and the box give, see `actors.wheels`.
-    label : int
-        What `rainsim export --labels` gives its pixels, 0 to 65535; 255 is no label.
+    label : int. What `rainsim export --labels` gives its pixels, 0 to 65535; 255
+        is no label.
     """
 
     id: str
@@ -127,17 +120,9 @@ def _spread(splats):
 def with_actors(scene, actors, notes=()):
     """Return a scene with actors; all splats get harmonics of one degree.
 
-    Parameters
-    ----------
-    scene : Scene
     actors : sequence of Actor
-    notes : sequence of str
-        Added to those of the scene.
-
-    Raises
-    ------
-    ParameterError
-        If two actors have the same id.
+    notes : sequence of str. Added to those of the scene.
+    Raises ParameterError if two actors have the same id.
     """
     actors = tuple(actors)
     ids = [actor.id for actor in actors]
@@ -157,12 +142,8 @@ def with_actors(scene, actors, notes=()):
 def require_no_actors(actors, what, remedy):
     """Raise ParameterError if there are actors, which `what` does not know.
 
-    Parameters
-    ----------
-    actors : sequence
-        Of a scene.
-    what, remedy : str
-        For the message.
+    actors : sequence. Of a scene.
+    what, remedy : str. For the message.
     """
     if actors:
         raise ParameterError(

@@ -62,15 +62,11 @@ _FIELDS = {
 class ActorsFile:
     """The content of an `actors.json`.
 
-    Attributes
-    ----------
-    static : Path
-        Of the scene that the actors move through.
-    lamps : tuple of Lamp
-        Of the static set, in the capture frame.
+    static : Path. Of the scene that the actors move through.
+    lamps : tuple of Lamp. Of the static set, in the capture frame.
     actors : tuple of Actor
-    files : tuple of Path
-        All files that were read: this one and those of the actors' splats.
+    files : tuple of Path. All files that were read: this one and those of the
+        actors' splats.
     notes : tuple of str
     """
 
@@ -92,18 +88,10 @@ def actors_file(path):
 def read_actors(path):
     """Read an `actors.json`.
 
-    Parameters
-    ----------
     path : path-like
-
-    Returns
-    -------
-    ActorsFile
-
-    Raises
-    ------
-    InputError
-        If it breaks a rule of docs/actors.md, or a splat file cannot be read.
+    Returns ActorsFile
+    Raises InputError if it breaks a rule of docs/actors.md, or a splat file
+        cannot be read.
     """
     path = Path(path)
     data = read_json(path, "a description of actors")
@@ -282,10 +270,7 @@ def actors_to_arrays(actors):
 def actors_from_arrays(arrays):
     """Return the actors that `actors_to_arrays` gave, a tuple of Actor.
 
-    Raises
-    ------
-    ParameterError
-        If the counts do not add up or a track breaks a rule.
+    Raises ParameterError if the counts do not add up or a track breaks a rule.
     """
     counts = arrays["splat_count"], arrays["key_count"]
     terms = arrays["splat_count"] * arrays["term_count"]

@@ -28,12 +28,9 @@ HIGHER = np.float32(0.02)  # m over the bed that an actor must be in a cell to c
 class Shadow(NamedTuple):
     """The cells that an actor covers at one time.
 
-    Attributes
-    ----------
-    part : tuple of slice
-        Rows and columns of the map.
-    top, underside : ndarray, float32 [m]
-        Of the actor in that part; NaN beside it.
+    part : tuple of slice. Rows and columns of the map.
+    top, underside : ndarray, float32 [m]. Of the actor in that part; NaN beside
+        it.
     """
 
     part: tuple
@@ -45,16 +42,14 @@ class Shadow(NamedTuple):
 class Footprint:
     """The heights of an actor over the cells around it, wherever it is.
 
-    Attributes
-    ----------
     motion : Motion
-    upright : ndarray of shape (3, 3), float64
-        Takes points of the actor frame [capture units] to the upright frame [m].
-    low : ndarray of shape (2,), float64 [m]
-        Corner of the height fields in the upright frame.
+    upright : float64 array (3, 3). Takes points of the actor frame [capture
+        units] to the upright frame [m].
+    low : float64 array (2,) [m]. Corner of the height fields in the upright
+        frame.
     spacing : float [m]
-    top, underside : ndarray of shape (rows, columns), float32 [m]
-        In the upright frame; NaN beside the actor.
+    top, underside : float32 array (rows, columns) [m]. In the upright frame; NaN
+        beside the actor.
     """
 
     motion: Motion
@@ -141,19 +136,14 @@ class Footprint:
 def _look_up(x, y, own, up, shift, low, spacing, top, underside, top_out, underside_out):
     """Write the heights of an actor over the cells of a map, NaN beside it.
 
-    Parameters
-    ----------
-    x, y : ndarray of shape (columns,) and (rows,), float64 [m]
-        Middles of the cells, from the middle of the actor's heights.
-    own : ndarray of shape (2, 2), float64
-        Takes them to the upright frame.
-    up : ndarray of shape (3,), float64
-        Height over the ground for each metre along the axes of the upright frame.
-    shift : float [m]
-        Height of that frame's origin.
-    low, spacing, top, underside
-        Of a `Footprint`.
-    top_out, underside_out : ndarray of shape (rows, columns), float32 [m]
+    x, y : array (columns,) and (rows,), float64 [m]. Middles of the cells, from
+        the middle of the actor's heights.
+    own : float64 array (2, 2). Takes them to the upright frame.
+    up : float64 array (3,). Height over the ground for each metre along the axes
+        of the upright frame.
+    shift : float [m]. Height of that frame's origin.
+    low, spacing, top, underside. Of a `Footprint`.
+    top_out, underside_out : float32 array (rows, columns) [m]
     """
     rows, columns = top.shape
     for j in prange(len(y)):
@@ -249,15 +239,12 @@ def put_on(bed, top, underside, shadow):
 def _put_on(bed, own_top, own_underside, first_row, first_column, top_out, underside_out, here_out):
     """Put an actor onto height fields, see `put_on`; `here_out` is the mask of its cells.
 
-    Parameters
-    ----------
-    bed : ndarray of shape (ny, nx), float32 [m]
-    own_top, own_underside : ndarray of shape (rows, columns), float32 [m]
-        Of the actor; NaN beside it.
-    first_row, first_column : int
-        Of the actor's cells on the map.
-    top_out, underside_out : ndarray of shape (ny, nx), float32 [m]
-    here_out : ndarray of shape (rows, columns), bool
+    bed : float32 array (ny, nx) [m]
+    own_top, own_underside : float32 array (rows, columns) [m]. Of the actor; NaN
+        beside it.
+    first_row, first_column : int. Of the actor's cells on the map.
+    top_out, underside_out : float32 array (ny, nx) [m]
+    here_out : bool array (rows, columns)
     """
     rows, columns = here_out.shape
     for j in prange(rows):

@@ -26,11 +26,8 @@ BEFORE = 1.5  # s before its first key that an actor has moved already
 class Pose(NamedTuple):
     """Where an actor's frame is at one time, in the capture frame or the ground frame.
 
-    Attributes
-    ----------
-    rotation : ndarray of shape (3, 3), float64
-        Actor frame to that frame.
-    position : ndarray of shape (3,), float64 [capture units], or [m] in the ground frame
+    rotation : float64 array (3, 3). Actor frame to that frame.
+    position : float64 array (3,) [capture units], or [m] in the ground frame
     """
 
     rotation: np.ndarray
@@ -55,14 +52,11 @@ class Track:
     first and after the last key the actor stays as it is there. A key's visibility holds until the
     next key.
 
-    Attributes
-    ----------
-    time : ndarray of shape (k,), float64 [s]
-        Of the keys, rising; 0 is the first frame.
-    position : ndarray of shape (k, 3), float64 [capture units]
-    rotation : ndarray of shape (k, 4), float64
-        Unit quaternions, w first: actor frame to capture frame.
-    visible : ndarray of shape (k,), bool
+    time : float64 array (k,) [s]. Of the keys, rising; 0 is the first frame.
+    position : float64 array (k, 3) [capture units]
+    rotation : float64 array (k, 4). Unit quaternions, w first: actor frame to
+        capture frame.
+    visible : bool array (k,)
     """
 
     time: np.ndarray
@@ -104,15 +98,10 @@ class Track:
     def poses(self, times):
         """Return where the actor is at many times [s], and whether it is there.
 
-        Parameters
-        ----------
-        times : ndarray of shape (n,), float64
-
-        Returns
-        -------
-        rotation : ndarray of shape (n, 3, 3), float64
-        position : ndarray of shape (n, 3), float64
-        visible : ndarray of shape (n,), bool
+        times : float64 array (n,)
+        Returns rotation : float64 array (n, 3, 3)
+            position : float64 array (n, 3)
+            visible : bool array (n,)
         """
         times = np.asarray(times, np.float64)
         visible = self.visible[np.searchsorted(self.time, times, side="right").clip(1) - 1]
@@ -191,8 +180,6 @@ class Motion:
 
     Its poses take points of the actor frame, in metres, to the ground frame [m].
 
-    Attributes
-    ----------
     actor : rainsim.actors.actor.Actor
     frame : rainsim.scene.types.GroundFrame
     """

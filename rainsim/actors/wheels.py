@@ -24,21 +24,12 @@ REMEDY = 'correct its box or the scale, give it wheels or `wheels: []`, or set s
 def wheels_of(actor, unit):
     """Return the tyres of an actor in metres.
 
-    Parameters
-    ----------
-    actor : Actor
     unit : float [m / capture unit]
-
-    Returns
-    -------
-    ndarray of shape (n, 5), float64 [m]
-        x, y, z of the middle of each contact patch in the actor frame, the tyre's width and its
-        radius. Without wheels of its own an actor of a class in `WHEELED` has four.
-
-    Raises
-    ------
-    ParameterError
-        If the box from which wheels are derived is not that of a road vehicle.
+    Returns float64 array (n, 5) [m]. x, y, z of the middle of each contact patch
+        in the actor frame, the tyre's width and its radius. Without wheels of its
+        own an actor of a class in `WHEELED` has four.
+    Raises ParameterError if the box from which wheels are derived is not that of
+        a road vehicle.
     """
     if actor.wheels is not None:
         return np.asarray(actor.wheels, np.float64).reshape(-1, 5) * unit

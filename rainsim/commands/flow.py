@@ -235,18 +235,10 @@ def _about_nodata(absent, way):
 class Run:
     """A solver on its way, with its gauges and its files.
 
-    Parameters
-    ----------
     solver : WaterSolver or GpuWaterSolver
-    given : dict
-        The command's options.
+    given : dict. The command's options.
     out : Path
-    status : Status
-
-    Attributes
-    ----------
-    steps : int
-        Taken so far.
+    steps : int. Taken so far.
     """
 
     def __init__(self, solver, given, out, status):

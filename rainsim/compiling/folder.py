@@ -47,11 +47,9 @@ def fault_of(folder):
 def _cache_folder():
     """Return a folder for compiled kernels that the user alone can write to, and the refused ones.
 
-    Returns
-    -------
-    folder : Path
-    refused : tuple of str
-        Sentences on the folders that were not taken though they could be written.
+    Returns folder : Path
+        refused : tuple of str. Sentences on the folders that were not taken
+            though they could be written.
     """
     wanted = [os.environ.get("NUMBA_CACHE_DIR")]
     wanted.append(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))

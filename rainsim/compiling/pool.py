@@ -92,26 +92,16 @@ class _Job:
 class Pool:
     """Compiles recorded kernels in other processes until `close`.
 
-    Parameters
-    ----------
-    entries : list of Recorded
-        What is to be compiled.
-    count : int
-        Number of processes.
-    progress : callable, optional
-        progress(share, done, total, count): the share of the work from 0 to 1, kernels done and
-        in all, processes; called from another thread.
-    environment : dict, optional
-        Variables that the processes get besides those of this one.
-
-    Attributes
-    ----------
-    compiled : int
-        Kernels compiled so far, each list of arguments counted.
-    seconds : float
-        Of one core that they took.
-    stale : list of str
-        Entries that no longer fit, and why.
+    entries : list of Recorded. What is to be compiled.
+    count : int. Number of processes.
+    progress : callable, optional. progress(share, done, total, count): the share
+        of the work from 0 to 1, kernels done and in all, processes; called from
+        another thread.
+    environment : dict, optional. Variables that the processes get besides those
+        of this one.
+    compiled : int. Kernels compiled so far, each list of arguments counted.
+    seconds : float. Of one core that they took.
+    stale : list of str. Entries that no longer fit, and why.
     """
 
     def __init__(self, entries, count, progress=None, environment=None):

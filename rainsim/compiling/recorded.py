@@ -20,18 +20,11 @@ STAGES = (TERRAIN, "frames")
 class Recorded:
     """A kernel as it was compiled for one list of arguments.
 
-    Attributes
-    ----------
-    kernel : str
-        "module:name".
-    arguments : str
-        Their types, see `signatures`.
-    seconds : float
-        Of one core, to compile it where it was recorded.
-    stage : str
-        One of `STAGES`: when a run first calls it.
-    uses : tuple of str
-        Of `uses.USES`, those that call it.
+    kernel : str. "module:name".
+    arguments : str. Their types, see `signatures`.
+    seconds : float. Of one core, to compile it where it was recorded.
+    stage : str. One of `STAGES`: when a run first calls it.
+    uses : tuple of str. Of `uses.USES`, those that call it.
     """
 
     kernel: str

@@ -44,10 +44,7 @@ def _listed(kinds):
 def from_text(text):
     """Return the numba type that a text names.
 
-    Raises
-    ------
-    UnknownType
-        If there is none, as when a bundle was renamed.
+    Raises UnknownType if there is none, as when a bundle was renamed.
     """
     text = text.strip()
     if text.endswith((" const", " unaligned")):

@@ -22,13 +22,11 @@ _VERSIONED = {"numba", "numpy", "llvmlite", *sys.stdlib_module_names}
 def source_key(function, salt=""):
     """Return 16 hexadecimal digits that change whenever the machine code of `function` may.
 
-    Parameters
-    ----------
-    function : function
-        The Python function of a kernel. Everything it uses must have been defined: the key is
-        computed when the kernel is first called, not when it is decorated.
-    salt : str
-        What else the machine code depends on: versions and compiler options.
+    function : function. The Python function of a kernel. Everything it uses must
+        have been defined: the key is computed when the kernel is first called,
+        not when it is decorated.
+    salt : str. What else the machine code depends on: versions and compiler
+        options.
     """
     digest = hashlib.sha256(salt.encode())
     found, todo = set(), [function]

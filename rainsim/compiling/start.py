@@ -15,23 +15,15 @@ KEPT_STAMPS = 64
 def start(uses, most=None, progress=None, in_line=None):
     """Start to compile the kernels of some uses that have not been compiled; return the `Pool`.
 
-    Parameters
-    ----------
-    uses : list of str
-        Names of `uses`.
-    most : int, optional
-        Number of processes at most; as many as there are cores unless given.
-    progress : callable, optional
-        As for `Pool`.
-    in_line : callable, optional
-        in_line(count) is called if kernels are lacking that only this process may compile.
-
-    Returns
-    -------
-    Pool or None
-        None if there is nothing to compile, if one process alone may compile (which then is this
-        one, when it calls a kernel), or if NUMBA_DISABLE_JIT is set. The caller must
-        close the pool, by `end`.
+    uses : list of str. Names of `uses`.
+    most : int, optional. Number of processes at most; as many as there are cores
+        unless given.
+    progress : callable, optional. As for `Pool`.
+    in_line : callable, optional. in_line(count) is called if kernels are lacking
+        that only this process may compile.
+    Returns Pool or None. None if there is nothing to compile, if one process
+        alone may compile (which then is this one, when it calls a kernel), or if
+        NUMBA_DISABLE_JIT is set. The caller must close the pool, by `end`.
     """
     entries, capability = _for_here(uses)
     names = [entry.name for entry in entries] + gpu.versions(capability)

@@ -52,17 +52,10 @@ def cuda_uses(layers=(), captured=False, scene=""):
 def uses_like(config, config_of, layers=(), captured=False, scene=""):
     """Return the names of the recorded uses that are most like a run.
 
-    Parameters
-    ----------
-    config : Config
-    config_of : callable
-        config_of(preset, changes) returns the Config of a use.
-    layers : sequence of str
-        Names of the layers that the run writes.
-    captured : bool
-        Whether the scene is a capture and not a built-in one.
-    scene : str
-        Its name.
+    config_of : callable. config_of(preset, changes) returns the Config of a use.
+    layers : sequence of str. Names of the layers that the run writes.
+    captured : bool. Whether the scene is a capture and not a built-in one.
+    scene : str. Its name.
     """
     wanted = choices(config)
     equal = {

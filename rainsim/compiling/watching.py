@@ -46,16 +46,10 @@ def watched_cuda(found):
 def watched(found):
     """Record the first call of each kernel for each list of argument types.
 
-    Parameters
-    ----------
-    found : callable
-        found(kernel, arguments, seconds): the kernel's name, the types as text, and the seconds of
-        one core that it took to compile it, None if its machine code was loaded from disk.
-
-    Raises
-    ------
-    UnknownType
-        If an argument has a type that has no text.
+    found : callable. found(kernel, arguments, seconds): the kernel's name, the
+        types as text, and the seconds of one core that it took to compile it,
+        None if its machine code was loaded from disk.
+    Raises UnknownType if an argument has a type that has no text.
     """
     names = {id(kernel): name for name, kernel in KERNELS.items()}
     original = Dispatcher._compile_for_args

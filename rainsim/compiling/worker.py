@@ -16,13 +16,10 @@ import time
 def compile_kernel(kernel, arguments):
     """Compile a kernel for each of some lists of arguments that the cache does not hold.
 
-    Returns
-    -------
-    compiled : int
-    seconds : float
-        Of this thread, loading the kernel's module not counted.
-    stale : list of str
-        What could not be compiled and why: the list is older than the kernel.
+    Returns compiled : int
+        seconds : float. Of this thread, loading the kernel's module not counted.
+        stale : list of str. What could not be compiled and why: the list is older
+            than the kernel.
     """
     from rainsim.compiling.signatures import from_text, split
     from rainsim.jit import KERNELS, held

@@ -151,8 +151,6 @@ class Staging:
 
     From other memory the driver copies a map of 3 MB in 2 to 3 ms, from pinned memory in .2.
 
-    Parameters
-    ----------
     stream : numba.cuda.stream
     """
 
@@ -162,14 +160,10 @@ class Staging:
     def send(self, array, values, window=None):
         """Queue the copy of host values to a device array; they may be changed afterwards.
 
-        Parameters
-        ----------
-        array : device array
-            Contiguous, unless a window is sent.
-        values : ndarray
-            Of the shape of the array, or of the window.
-        window : tuple of slice, optional
-            Rows and columns of the array, of which the others stay.
+        array : device array. Contiguous, unless a window is sent.
+        values : ndarray. Of the shape of the array, or of the window.
+        window : tuple of slice, optional. Rows and columns of the array, of which
+            the others stay.
         """
         if SIMULATED:
             array[... if window is None else window] = values

@@ -58,12 +58,10 @@ _ASIDE = 1e-3  # of a cell, or m: how far it looks beyond
 class Columns(NamedTuple):
     """Columns of cubes over a map, class by class.
 
-    Attributes
-    ----------
-    counts : device array of shape (CLASSES + 1,), int64
-        How many the classes before each have, and all together.
-    first, last : device array of shape (CLASSES, 3), int64
-        First and last cube of each class along x, y and z.
+    counts : int64 device array (CLASSES + 1,). How many the classes before each
+        have, and all together.
+    first, last : int64 device array (CLASSES, 3). First and last cube of each
+        class along x, y and z.
     """
 
     counts: object
@@ -75,23 +73,17 @@ class Columns(NamedTuple):
 def seek(columns, times, slot, field, surfaces, found_out, sought_out, tasks_out, words_out):
     """List the drops that may end in an interval: a cheap test of each in the air.
 
-    Parameters
-    ----------
-    columns : Columns
-    times : device array of shape (2,), float64 [s]
-        Start and end.
-    slot : device array of shape (1,), int32
-        Which list of impacts will be filled from these drops; it is emptied.
+    times : float64 device array (2,) [s]. Start and end.
+    slot : int32 device array (1,). Which list of impacts will be filled from
+        these drops; it is emptied.
     field : DropField
-    surfaces : HeightFields
-        Both of device arrays.
-    found_out : device array of shape (slots,), int32
-    sought_out : device array of shape (1,), int32
-        Raised by the number of drops, also of those for which the list has no room.
-    tasks_out : device array of shape (room, 2), int32
-        The column's number and the cube's place along z.
-    words_out : device array of shape (room,), uint64
-        The drops' ids.
+    surfaces : HeightFields. Both of device arrays.
+    found_out : int32 device array (slots,)
+    sought_out : int32 device array (1,). Raised by the number of drops, also of
+        those for which the list has no room.
+    tasks_out : int32 device array (room, 2). The column's number and the cube's
+        place along z.
+    words_out : uint64 device array (room,). The drops' ids.
     """
     places = cuda.shared.array((BLOCK_COLUMNS, 4), np.int64)  # class and first cube
     heights = cuda.shared.array((BLOCK_COLUMNS, 2), np.float64)
@@ -172,12 +164,10 @@ def fill_impacts(
 ):  # fmt: skip
     """List those of the drops sought that end in an interval.
 
-    Parameters
-    ----------
-    columns, times, slot, sought, tasks, words, field, surfaces
-        As `seek` has and left them.
-    found_out, values_out, labels_out, ids_out
-        See `ImpactLists`. The number found is beyond all room if there was none for a drop sought.
+    columns, times, slot, sought, tasks, words, field, surfaces. As `seek` has and
+        left them.
+    found_out, values_out, labels_out, ids_out. See `ImpactLists`. The number
+        found is beyond all room if there was none for a drop sought.
     """
     near = cuda.shared.array(_CHUNK, np.int32)  # drops that may meet something in the interval
     hitting = cuda.shared.array(_CHUNK, np.int32)  # drops that would, if nothing stopped them
@@ -293,17 +283,10 @@ def _column_of(task, columns):
 class Listed(FrameUniforms):
     """The interval that is listed, as kernels take it; each `send` blanks "sought".
 
-    Parameters
-    ----------
     stream : cuda.stream
-    field : RainField
-        Of the weather.
-
-    Attributes
-    ----------
+    field : RainField. Of the weather.
     columns : Columns
-    field : DropField
-        Of device arrays both.
+    field : DropField. Of device arrays both.
     """
 
     def __init__(self, stream, field):
@@ -327,25 +310,14 @@ class Listed(FrameUniforms):
 class Impacts:
     """The drops that end on a map, listed on a CUDA device; twin of `drops.impacts`.
 
-    Parameters
-    ----------
-    field : RainField
-        Of the weather; `update` takes those of other times.
-    surfaces : Surfaces
-    room : int
-        Of a list.
+    field : RainField. Of the weather; `update` takes those of other times.
+    room : int. Of a list.
     stream : cuda.stream
-    slots : int
-        Lists that are kept.
-
-    Attributes
-    ----------
-    lists : ImpactLists
-        In no order.
-    obstacles : device array of shape (1,), int64
-        Volume that fell on obstacles since the start, in VOLUME_UNIT.
-    surfaces : HeightFields
-        Of device arrays.
+    slots : int. Lists that are kept.
+    lists : ImpactLists. In no order.
+    obstacles : int64 device array (1,). Volume that fell on obstacles since the
+        start, in VOLUME_UNIT.
+    surfaces : HeightFields. Of device arrays.
     """
 
     def __init__(self, field, surfaces, room, stream=0, slots=1):

@@ -33,8 +33,6 @@ class FrameUniforms:
 
     A captured graph reads what `commit` has last copied.
 
-    Parameters
-    ----------
     stream : cuda.stream
     arrays : dict of str to (shape, dtype)
     """

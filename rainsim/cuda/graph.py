@@ -23,12 +23,10 @@ that holds the addresses of freed arrays would be taken for one of the arrays th
 class Graph:
     """Work on a stream, recorded; in the simulator `launch` calls the function again.
 
-    Parameters
-    ----------
     stream : numba.cuda.stream
-    queue : callable
-        queue() puts the work on the stream; it must have run before, so that all is compiled, and
-        must not wait, allocate or read results.
+    queue : callable. queue() puts the work on the stream; it must have run
+        before, so that all is compiled, and must not wait, allocate or read
+        results.
     """
 
     def __init__(self, stream, queue):

@@ -28,30 +28,18 @@ MOST_PLACES = 1 << 32  # of the numbers of both copies of depth and velocities
 class Water:
     """Shallow water on a CUDA device, by the scheme "lean".
 
-    Parameters
-    ----------
-    solver : WaterSolver
-        Of scheme "lean" and float32; its state is copied.
-    exposure : ndarray of shape (ny, nx), float32, or None
-        Share of the rain that falls on each cell; None for 1.
-    capacity : int
-        Steps queued for a frame.
+    solver : WaterSolver. Of scheme "lean" and float32; its state is copied.
+    exposure : float32 array (ny, nx), or None. Share of the rain that falls on
+        each cell; None for 1.
+    capacity : int. Steps queued for a frame.
     stream : cuda.stream
-
-    Attributes
-    ----------
-    depths : list of device array of shape (ny, nx), float32 [m]
-        Depth above the bed, film included, at the ends of the last frames by `page`.
-    waiting : device array of shape ((ny + 5) * width,), int64
-        Depth of drops that fell since, in `step_control.UNIT`.
-    cells : CellLayout
-        Of `waiting`.
+    depths : list of float32 device array (ny, nx) [m]. Depth above the bed, film
+        included, at the ends of the last frames by `page`.
+    waiting : device array of shape ((ny + 5) * width,), int64. Depth of drops
+        that fell since, in `step_control.UNIT`.
+    cells : CellLayout. Of `waiting`.
     account : Account
-
-    Raises
-    ------
-    ParameterError
-        If the solver has what this one has not.
+    Raises ParameterError if the solver has what this one has not.
     """
 
     def __init__(self, solver, exposure=None, capacity=CAPACITY, stream=0):
@@ -111,11 +99,8 @@ class Water:
     def shelter(self, exposure, windows):
         """Let less rain than `let_through` has said fall on some windows, and on no other cells.
 
-        Parameters
-        ----------
-        exposure : ndarray of shape (ny, nx), float32
-        windows : list of tuple of slice
-            Rows and columns.
+        exposure : float32 array (ny, nx)
+        windows : list of tuple of slice. Rows and columns.
         """
         self.account.shelter(exposure, windows)
         self._exposure.send(exposure, windows, self.account.open)
@@ -207,10 +192,8 @@ class Water:
     def advance(self, duration, rate=0.0, added=True):
         """Advance by `duration` [s] and wait; return the number of steps.
 
-        Raises
-        ------
-        DivergedError
-            If the water is faster than water on the ground can be, or no longer finite.
+        Raises DivergedError if the water is faster than water on the ground can
+            be, or no longer finite.
         """
         self.account.update(duration, rate, added)
         self._run(self.launch)
@@ -289,10 +272,7 @@ class Water:
 def _what_the_ground_takes(solver):
     """Return the rate [m/s] at which each cell's ground takes water; negative: its drain does.
 
-    Raises
-    ------
-    ParameterError
-        If a drain lies in ground that takes water by itself.
+    Raises ParameterError if a drain lies in ground that takes water by itself.
     """
     takes = solver.sources.infiltration.copy()
     for row, column, rate in zip(*solver.sources.drains, strict=True):

@@ -6,18 +6,9 @@ from __future__ import annotations
 class MovingMap:
     """A map on a device that follows one of the host, over which things move.
 
-    Parameters
-    ----------
-    there : device array of shape (ny, nx, ...)
-        Written to by `send`.
-    staging : Staging
-    still : object
-        What `there` has been filled from, see `send`.
-
-    Attributes
-    ----------
-    still : object
-        None: all is to be sent.
+    there : device array of shape (ny, nx, ...). Written to by `send`.
+    still : object. What `there` has been filled from, see `send`.
+    still : object. None: all is to be sent.
     """
 
     def __init__(self, there, staging, still=None):
@@ -27,13 +18,11 @@ class MovingMap:
     def send(self, values, windows, still=None):
         """Queue the sending of what differs from the map that is there.
 
-        Parameters
-        ----------
-        values : ndarray of shape (ny, nx, ...)
-        windows : list of tuple of slice
-            Rows and columns in which they differ from the map without what moves.
-        still : object
-            What stands for that map: if it is another one than before, all is sent.
+        values : array (ny, nx, ...)
+        windows : list of tuple of slice. Rows and columns in which they differ
+            from the map without what moves.
+        still : object. What stands for that map: if it is another one than
+            before, all is sent.
         """
         parts = joined(self._windows, windows)
         if still is not self.still:

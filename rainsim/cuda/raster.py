@@ -70,10 +70,7 @@ class Workspace:
 
     Projected splats, lists and pictures.
 
-    Attributes
-    ----------
-    version : int
-        Changes when arrays that were taken are replaced by new ones.
+    version : int. Changes when arrays that were taken are replaced by new ones.
     """
 
     def __init__(self):
@@ -135,12 +132,8 @@ class Taken(NamedTuple):
 class EntryRoom:
     """How many entries the pictures of a rasterizer have, and for how many there is room.
 
-    Attributes
-    ----------
-    size : int
-        Entries that there is room for.
-    count : pinned ndarray of shape (1,), int32
-        Entries of the finished picture.
+    size : int. Entries that there is room for.
+    count : pinned int32 array (1,). Entries of the finished picture.
     """
 
     def __init__(self):
@@ -191,31 +184,23 @@ class EntryRoom:
 class Rasterizer:
     """Draws prepared splats on the GPU; keeps its working memory from one picture to the next.
 
-    Parameters
-    ----------
     prepared : PreparedSplats
     stream : numba.cuda.stream, optional
-    plain : bool
-        Take the kernels without warp instructions: slow, for tests of the others.
-    workspace : Workspace, optional
-        That of another rasterizer of the same stream.
-    first_room : int, optional
-        Entries to make room for before anything was counted.
-    leading : bool
-        Leave out the splats that were prepared to come last.
-    aim : callable, optional
-        aim(now) queues what writes the camera's numbers into a device array, at each launch;
-        without it those that `update` takes over are sent.
-
-    Attributes
-    ----------
+    plain : bool. Take the kernels without warp instructions: slow, for tests of
+        the others.
+    workspace : Workspace, optional. That of another rasterizer of the same
+        stream.
+    first_room : int, optional. Entries to make room for before anything was
+        counted.
+    leading : bool. Leave out the splats that were prepared to come last.
+    aim : callable, optional. aim(now) queues what writes the camera's numbers
+        into a device array, at each launch; without it those that `update` takes
+        over are sent.
     room : EntryRoom
-    recolors : bool
-        Whether `recolor` and `pose_actors` send what they take over.
-    actors : ActorSplats or None
-        Those of `pose_actors`.
-    chosen : ndarray of int64 or None
-        Of a `DeviceRoom` the chunks that are drawn, see `choose`.
+    recolors : bool. Whether `recolor` and `pose_actors` send what they take over.
+    actors : ActorSplats or None. Those of `pose_actors`.
+    chosen : int64 array or None. Of a `DeviceRoom` the chunks that are drawn, see
+        `choose`.
     """
 
     def __init__(
@@ -332,13 +317,11 @@ class Rasterizer:
     ):  # fmt: skip
         """Take over camera and options of the next pictures; the device only allocates room.
 
-        Parameters
-        ----------
-        camera, near, plane, depth, compensate, degree, drop_last, detail
-            As `draw` takes them.
-        room : tuple of int [px], optional
-            Columns and rows of which the camera's picture is the upper left part: pictures of
-            changing size are one recorded queue.
+        camera, near, plane, depth, compensate, degree, drop_last, detail. As
+            `draw` takes them.
+        room : tuple of int [px], optional. Columns and rows of which the camera's
+            picture is the upper left part: pictures of changing size are one
+            recorded queue.
         """
         s, (width, height) = self.splats, room or (camera.width, camera.height)
         if self._aim is None:

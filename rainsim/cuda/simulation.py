@@ -48,21 +48,15 @@ class DeviceState:
 
     The device keeps two states: this one's arrays are overwritten when the next but one begins.
 
-    Attributes
-    ----------
-    index : int
-        Of the frame that shows it.
-    step : int
-        Of the simulation.
+    index : int. Of the frame that shows it.
+    step : int. Of the simulation.
     time : float [s]
-    simulation : Simulation
-        Whose arrays the properties read.
-    tile_size : float [m]
-        Side of the periodic tile of ripples.
+    simulation : Simulation. Whose arrays the properties read.
+    tile_size : float [m]. Side of the periodic tile of ripples.
     notes : tuple of str
-    top_water : ndarray of shape (n,), float64 [m3]
-        Water on each top of the terrain, on the host. It comes from the mean rain; the ledger adds
-        up the drops that fell on the device, and differs from it by their chance.
+    top_water : float64 array (n,) [m3]. Water on each top of the terrain, on the
+        host. It comes from the mean rain; the ledger adds up the drops that fell
+        on the device, and differs from it by their chance.
     """
 
     def __init__(self, index, time, simulation, notes=()):
@@ -129,17 +123,9 @@ class DeviceState:
 class Simulation:
     """Rain, water and ripples of a configuration on a terrain, frame by frame.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    config : Config
-        Water of scheme "auto" is computed by "lean" here.
-
-    Attributes
-    ----------
-    is_shown : bool
-        Whether a frame of the last step may still have to be drawn again; `advance` begins no step
-        meanwhile.
+    config : Config. Water of scheme "auto" is computed by "lean" here.
+    is_shown : bool. Whether a frame of the last step may still have to be drawn
+        again; `advance` begins no step meanwhile.
     """
 
     @one_fault()
@@ -260,10 +246,8 @@ class Simulation:
     def complete(self):
         """Wait for the step that has begun, and let it go on if it was not at its end.
 
-        Raises
-        ------
-        DivergedError
-            If the water is no longer finite or faster than water can be.
+        Raises DivergedError if the water is no longer finite or faster than water
+            can be.
         """
         if self._complete == self._begun:
             return
@@ -335,10 +319,7 @@ class Simulation:
     def lacked(self, index):
         """Finish a step; return whether it had too little room, so that its picture is wrong.
 
-        Raises
-        ------
-        BackendError
-            If more drops fell than the list has room for.
+        Raises BackendError if more drops fell than the list has room for.
         """
         if index == self._begun:
             self.complete()

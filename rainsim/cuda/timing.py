@@ -24,11 +24,9 @@ def wait(naps):
 def part_times(stream, parts):
     """Return the median milliseconds of each part of a queue, a dict by the names of `parts`.
 
-    Parameters
-    ----------
     stream : numba.cuda.stream
-    parts : dict of str to callable
-        Each puts its part on the stream; they run in this order, REPEATS times.
+    parts : dict of str to callable. Each puts its part on the stream; they run in
+        this order, REPEATS times.
     """
     rows = []
     for _ in range(REPEATS):

@@ -32,17 +32,11 @@ NODE = 1 << 16  # the upper half of a label is the number of the instance
 class Clouds:
     """The clouds of one scene's views.
 
-    Parameters
-    ----------
-    scene : Scene
-    terrain : Terrain
-    places : sequence of ndarray of shape (3,) [m]
-        Where the lidar will be, in the ground frame.
-    sensor : str
-        A key of `lidar_model.SENSORS`.
-    config : Config
-    user_labels : UserLabels, optional
-        Points on what stands have its ids, where it has any.
+    places : sequence of array (3,) [m]. Where the lidar will be, in the ground
+        frame.
+    sensor : str. A key of `lidar_model.SENSORS`.
+    user_labels : UserLabels, optional. Points on what stands have its ids, where
+        it has any.
     """
 
     def __init__(self, scene, terrain, places, sensor, config, user_labels=None):
@@ -55,22 +49,15 @@ class Clouds:
     def cloud(self, view, field, state, damp, actors):
         """Return the points (n, 4), float32, and their labels (n,), uint32, of a view.
 
-        Parameters
-        ----------
-        view : View
         field : RainField or None
         state : SimState
-        damp : float
-            See `LidarScanner.scan`.
-        actors : sequence of dict
-            See `rainsim.render.actor_labels.facts_of_actors`.
-
-        Returns
-        -------
-        points : ndarray of shape (n, 4), float32
-            x ahead, y left, z up from the camera [m], and reflectivity.
-        labels : ndarray of shape (n,), uint32
-            SemanticKITTI's class, and in the upper half the number of the actor.
+        damp : float. See `LidarScanner.scan`.
+        actors : sequence of dict. See
+            `rainsim.render.actor_labels.facts_of_actors`.
+        Returns points : float32 array (n, 4). x ahead, y left, z up from the
+            camera [m], and reflectivity.
+            labels : uint32 array (n,). SemanticKITTI's class, and in the upper
+                half the number of the actor.
         """
         camera = view.camera
         turn = camera.camera_from_world[:3, :3].T @ CAMERA_FROM_LIDAR

@@ -65,17 +65,10 @@ def _depth_in(folder, plan, view):
 def observations(plan, view, depth):
     """Return the points that a view sees: their places in the plan, and their image points [px].
 
-    Parameters
-    ----------
-    plan : Plan
-    view : View
-    depth : ndarray of shape (height, width), float32 [m]
-        A point counts as seen if it lies at the depth of its pixel.
-
-    Returns
-    -------
-    number : ndarray of shape (k,), int64
-    place : ndarray of shape (k, 2), float64 [px]
+    depth : float32 array (height, width) [m]. A point counts as seen if it lies
+        at the depth of its pixel.
+    Returns number : int64 array (k,)
+        place : float64 array (k, 2) [px]
     """
     camera = view.camera
     x, y, z = camera_points(camera, plan.points.astype(np.float64)).T

@@ -16,12 +16,9 @@ from rainsim.terrain.table import DRAIN, GRASS, HARD, SOIL
 class Kind(NamedTuple):
     """What others call an actor of a kind.
 
-    Attributes
-    ----------
     cityscapes : int
     kitti : str
-    semantic, moving : int
-        Of SemanticKITTI.
+    semantic, moving : int. Of SemanticKITTI.
     """
 
     cityscapes: int

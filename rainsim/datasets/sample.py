@@ -139,8 +139,6 @@ def depth_mm(depth):
 def kitti_depth(depth):
     """Return depths as KITTI has them: 256 a metre, uint16, 0 where there is none.
 
-    References
-    ----------
     Development kit of KITTI's depth benchmark (Uhrig et al. 2017): depth = value / 256.
     """
     known = np.isfinite(depth) & (depth * KITTI_DEPTH <= MOST)
@@ -151,8 +149,6 @@ def kitti_depth(depth):
 def kitti_flow(flow, valid):
     """Return flow as KITTI has it: (height, width, 3), uint16: 64 u + 2^15, 64 v + 2^15, valid.
 
-    References
-    ----------
     Development kit of KITTI's flow benchmarks 2012 and 2015 (Geiger et al. 2012): u = (first
     channel - 2^15) / 64, valid where the third is 1.
     """

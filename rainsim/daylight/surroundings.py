@@ -169,20 +169,15 @@ def gather(
     Rays go from patch to patch through the cells of a grid. What has no plane receives by its mean
     cosine of 1/4, and sends to both sides, itself included.
 
-    Parameters
-    ----------
-    position, normal : ndarray of shape (m, 3), float32
-    flat : ndarray of shape (m,), float32
-    covered : ndarray of shape (m,), float32
-        Area of its splats over that of the face of a cell.
-    radiosity : ndarray of shape (m, 3), float32
-    low, first, order
-        See `_lists`.
+    position, normal : float32 array (m, 3)
+    flat : float32 array (m,)
+    covered : float32 array (m,). Area of its splats over that of the face of a
+        cell.
+    radiosity : float32 array (m, 3)
+    low, first, order. See `_lists`.
     cell : float32 [m]
-    directions : ndarray of shape (d, 3), float32
-        Unit, over the sphere.
-    light_out : ndarray of shape (m, 2, 3), float32
-        Zeros.
+    directions : float32 array (d, 3). Unit, over the sphere.
+    light_out : float32 array (m, 2, 3). Zeros.
     """
     for i in prange(len(flat)):
         below, above = ZERO, ZERO

@@ -196,19 +196,12 @@ def _draw(solids, i, a, window, heights):
 def seen_share(heights, a, window, position, normal, flat, margin):
     """Return the share of a place that nothing hides from a direction, 0 to 1.
 
-    Parameters
-    ----------
-    heights : ndarray of shape (side, side), float32 [m]
-        See `draw_heights`.
-    a : ndarray of shape (3, 3), float32
-        See `axes_of`.
-    window : Window
-    position, normal : ndarray of shape (3,), float32
-        Of the place; the plane of its surroundings is followed to the centres of the pixels.
-    flat : float32
-        How far the surroundings are a plane, 0 to 1.
-    margin : float32 [m]
-        By which what hides it must stand above it.
+    heights : float32 array (side, side) [m]. See `draw_heights`.
+    a : float32 array (3, 3). See `axes_of`.
+    position, normal : float32 array (3,). Of the place; the plane of its
+        surroundings is followed to the centres of the pixels.
+    flat : float32. How far the surroundings are a plane, 0 to 1.
+    margin : float32 [m]. By which what hides it must stand above it.
     """
     x = position[0] - window.middle[0]
     y = position[1] - window.middle[1]
@@ -262,14 +255,11 @@ def add_light(
 ):  # fmt: skip
     """Add the light of some directions to what each place has received.
 
-    Parameters
-    ----------
-    heights, axes, window, position, normal, flat, margin
-        See `seen_share`.
-    radiance : ndarray of shape (m, r), float32
-        Of each direction, in several skies; times the solid angle.
-    light_out : ndarray of shape (n, r), float32
-        Irradiance; of a place without a plane the mean over all ways that it may face.
+    heights, axes, window, position, normal, flat, margin. See `seen_share`.
+    radiance : float32 array (m, r). Of each direction, in several skies; times
+        the solid angle.
+    light_out : float32 array (n, r). Irradiance; of a place without a plane the
+        mean over all ways that it may face.
     """
     for i in prange(len(position)):
         for k in range(len(axes)):

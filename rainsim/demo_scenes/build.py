@@ -95,14 +95,12 @@ def discs(
 ):
     """Return flat splats on a surface.
 
-    Parameters
-    ----------
-    position, normal : ndarray of shape (n, 3)
+    position, normal : array (n, 3)
     colour : array_like, broadcast to (n, 3)
-    size : array_like, scalar, (n,) or (n, 2) [m]
-        Deviation in the plane; of two columns the first is along `along`.
+    size : array_like, scalar, (n,) or (n, 2) [m]. Deviation in the plane; of two
+        columns the first is along `along`.
     along : array_like, broadcast to (n, 3)
-    thickness, opacity, sheen : float or ndarray of shape (n,)
+    thickness, opacity, sheen : float or array (n,)
     """
     position = np.ascontiguousarray(position, np.float32)
     n = len(position)
@@ -163,16 +161,12 @@ def _resample(points, piece):
 def tube(points, radius, colour, *, piece=0.025, around=8, sheen=0.0, opacity=0.97, squash=1.0):
     """Return a round tube along a polyline, its surface covered with splats.
 
-    Parameters
-    ----------
     points : array_like of shape (m, 3) [m]
     radius : float or array_like of shape (m,) [m]
-    piece : float [m]
-        Length of one splat's cell.
-    around : int
-        Splats round the tube.
-    squash : float
-        Height over width of the cross-section (its height is square to the sideways direction).
+    piece : float [m]. Length of one splat's cell.
+    around : int. Splats round the tube.
+    squash : float. Height over width of the cross-section (its height is square
+        to the sideways direction).
     """
     points = np.asarray(points, np.float32)
     radius = np.broadcast_to(np.asarray(radius, np.float32), (len(points),))
@@ -216,14 +210,12 @@ def cells(length, spacing, edge=0.45):
 def box(centre, half, colour, *, spacing=0.03, along=0, stretch=2.0, axes=None, sheen=0.0):
     """Return the six faces of a box.
 
-    Parameters
-    ----------
-    centre, half : array_like of shape (3,) [m]
-        Centre, and half of the side along each axis.
-    spacing : float [m]
-        Cell size across the grain; along axis number `along` it is `stretch` times larger.
-    axes : array_like of shape (3, 3), optional
-        Rows are the box's own axes; the identity if left out.
+    centre, half : array_like of shape (3,) [m]. Centre, and half of the side
+        along each axis.
+    spacing : float [m]. Cell size across the grain; along axis number `along` it
+        is `stretch` times larger.
+    axes : array_like of shape (3, 3), optional. Rows are the box's own axes; the
+        identity if left out.
     """
     half = np.asarray(half, np.float32)
     axes = np.eye(3, dtype=np.float32) if axes is None else np.asarray(axes, np.float32)

@@ -281,8 +281,6 @@ def read_hdr(path):
     Return linear radiance, (height, width, 3), float32, row 0 at the top; exposure notes of the
     header are divided out. InputError if the file is not such a picture or ends early.
 
-    References
-    ----------
     G. Ward, "Real Pixels", Graphics Gems II (1991). A value is mantissa * 2^(exponent - 136); we
     leave out Ward's half step on the mantissa, as most readers do.
     """

@@ -30,22 +30,15 @@ UNIT_NAMES = {1.0: "metres", 0.3048: "feet", 1200 / 3937: "US survey feet"}
 class Raster(NamedTuple):
     """A map of numbers.
 
-    Attributes
-    ----------
-    values : ndarray of shape (ny, nx), float64
-        Row 0 is south, column 0 is west; NaN where the file has none.
-    spacing : float or None [m]
-        Side of a cell, if the file says it.
-    corner : (float, float) or None [m]
-        x and y of the south-west corner, if the file says them.
-    kind : str
-        Suffix of the file: .asc for all ESRI ASCII grids.
-    tags : dict of int to tuple
-        Of a GeoTIFF: those that say where it is.
-    notes : tuple of str
-        What was converted.
-    per_height : float [m]
-        A unit of the heights as the file says it.
+    values : float64 array (ny, nx). Row 0 is south, column 0 is west; NaN where
+        the file has none.
+    spacing : float or None [m]. Side of a cell, if the file says it.
+    corner : (float, float) or None [m]. x and y of the south-west corner, if the
+        file says them.
+    kind : str. Suffix of the file: .asc for all ESRI ASCII grids.
+    tags : dict of int to tuple. Of a GeoTIFF: those that say where it is.
+    notes : tuple of str. What was converted.
+    per_height : float [m]. A unit of the heights as the file says it.
     """
 
     values: np.ndarray
@@ -63,10 +56,8 @@ def read_raster(path):
     Lengths and heights of a GeoTIFF in feet become metres; heights have the unit of the map where
     it does not say their own.
 
-    Raises
-    ------
-    InputError
-        If the file is no such map, its cells are no squares, or it is in degrees.
+    Raises InputError if the file is no such map, its cells are no squares, or it
+        is in degrees.
     """
     path = require_file(path, "a map")
     suffix = path.suffix.lower()
@@ -232,12 +223,8 @@ def _units(path, keys):
 def write_raster(path, values, like):
     """Write a map of the place and the kind of a `Raster`, whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Its suffix is `like.kind`.
-    values : ndarray of shape (ny, nx)
-        Row 0 is south.
+    path : path-like. Its suffix is `like.kind`.
+    values : array (ny, nx). Row 0 is south.
     like : Raster
     """
     with replacing(path) as temporary:

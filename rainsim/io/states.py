@@ -184,18 +184,11 @@ def write_solver(path, made_of, arrays):
 def read_solver(path, made_of, wanted):
     """Return the arrays that `write_solver` wrote, by name.
 
-    Parameters
-    ----------
     path : path-like
-    made_of : str
-        Must be the same in the file.
-    wanted : dict of str to ndarray
-        Arrays of the same names, types and shapes.
-
-    Raises
-    ------
-    InputError
-        If the file is no such state, or one of a solver that was made differently.
+    made_of : str. Must be the same in the file.
+    wanted : dict of str to ndarray. Arrays of the same names, types and shapes.
+    Raises InputError if the file is no such state, or one of a solver that was
+        made differently.
     """
 
     def read(fields):

@@ -44,33 +44,21 @@ WRITERS = 2  # threads
 def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False, keep=None):
     """Write a Streamed SOG of a capture.
 
-    Parameters
-    ----------
-    folder : path-like
-        Made if it does not exist. Its lod-meta.json appears when all else is written.
-    blocks : callable
-        blocks() returns an iterator over the capture's `Splats`, in parts of any size; it is called
-        twice and must give the same splats.
-    leaf : int
-        Splats of a leaf, about.
-    tell : callable, optional
-        tell(done, total) is called as splats are written.
-    antialiased : bool
-        Whether the chunks say that their splats were trained antialiased.
-    keep : object, optional
-        Of a cut that can be gone on with: its begin() is called before the first chunk is written,
-        has(name) says whether a chunk is there whole, and done(name) notes one that is. Without it
-        what a cut that fails has written is removed.
-
-    Returns
-    -------
-    list of int
-        Splats of each level, without those that are always drawn.
-
-    Raises
-    ------
-    InputError
-        If there are no splats.
+    folder : path-like. Made if it does not exist. Its lod-meta.json appears when
+        all else is written.
+    blocks : callable. blocks() returns an iterator over the capture's `Splats`,
+        in parts of any size; it is called twice and must give the same splats.
+    leaf : int. Splats of a leaf, about.
+    tell : callable, optional. tell(done, total) is called as splats are written.
+    antialiased : bool. Whether the chunks say that their splats were trained
+        antialiased.
+    keep : object, optional. Of a cut that can be gone on with: its begin() is
+        called before the first chunk is written, has(name) says whether a chunk
+        is there whole, and done(name) notes one that is. Without it what a cut
+        that fails has written is removed.
+    Returns list of int. Splats of each level, without those that are always
+        drawn.
+    Raises InputError if there are no splats.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -44,11 +44,8 @@ class Page:
 class Held:
     """The pages that a picture is drawn of, which stay in their room until others are taken.
 
-    Attributes
-    ----------
-    chunks : ndarray of int64 or None
-        Places of their chunks in the order in which the picture takes them; another array whenever
-        they change.
+    chunks : int64 array or None. Places of their chunks in the order in which the
+        picture takes them; another array whenever they change.
     """
 
     def __init__(self):
@@ -58,33 +55,22 @@ class Held:
 class PagedRasterizer:
     """Draws the parts of a big capture that a camera needs, with the methods of a `Rasterizer`.
 
-    Parameters
-    ----------
-    pages : Pages
-    prepare : callable
-        prepare(splats) returns the `Page` of the `Splats` of a run.
-    detail : float [px]
-        Cells that a level was merged to are at most as wide in the picture.
-    coefficients : int
-        Of a channel's harmonics, as `prepare` makes them.
-    rasterizer_of : callable
-        rasterizer_of(prepared) returns what draws prepared splats.
-    coarser : float
-        Factor on `detail` for all pictures.
-    compensate : bool
-        See `PreparedSplats`.
-    room : ChunkRoom, optional
-        Where pages lie, shared by those whose harmonics have the same degree.
-    numbers_of : callable, optional
-        numbers_of(leaf, level, splats) returns what hits name the splats of a run, int32; without
-        it they have no name. `prepare` must keep all splats then.
-
-    Attributes
-    ----------
-    detail : float [px]
-        Times `coarser`.
-    used : dict
-        Of the last picture: `splats`, `pages` and `detail` [px].
+    prepare : callable. prepare(splats) returns the `Page` of the `Splats` of a
+        run.
+    detail : float [px]. Cells that a level was merged to are at most as wide in
+        the picture.
+    coefficients : int. Of a channel's harmonics, as `prepare` makes them.
+    rasterizer_of : callable. rasterizer_of(prepared) returns what draws prepared
+        splats.
+    coarser : float. Factor on `detail` for all pictures.
+    compensate : bool. See `PreparedSplats`.
+    room : ChunkRoom, optional. Where pages lie, shared by those whose harmonics
+        have the same degree.
+    numbers_of : callable, optional. numbers_of(leaf, level, splats) returns what
+        hits name the splats of a run, int32; without it they have no name.
+        `prepare` must keep all splats then.
+    detail : float [px]. Times `coarser`.
+    used : dict. Of the last picture: `splats`, `pages` and `detail` [px].
     """
 
     _numbers = itertools.count()

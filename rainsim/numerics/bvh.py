@@ -55,20 +55,13 @@ def lay_out(position, scale, rotation, opacity, record_out, box_out):
 def build(box, order, node_box_out, child_out):
     """Build the tree from the top by the surface area heuristic over BINS bins.
 
-    Parameters
-    ----------
-    box : ndarray of shape (n, 6), float32
-    order : ndarray of shape (n,), int64
-        All splats; put into the order of the leaves, in place.
-    node_box_out : ndarray of shape (m, 6), float32
-        Box of each node; m of 2 n is enough.
-    child_out : ndarray of shape (m, 2), int64
-        An inner node's children; a leaf's first place in `order` and, negative, its number.
-
-    Returns
-    -------
-    int
-        Number of nodes.
+    box : float32 array (n, 6)
+    order : int64 array (n,). All splats; put into the order of the leaves, in
+        place.
+    node_box_out : float32 array (m, 6). Box of each node; m of 2 n is enough.
+    child_out : int64 array (m, 2). An inner node's children; a leaf's first place
+        in `order` and, negative, its number.
+    Returns int. Number of nodes.
     """
     n = len(order)
     stack = np.empty((128, 3), np.int64)  # node, begin, end

@@ -28,18 +28,14 @@ def held(x, most):
 def interpolate(field, n, s, u, v, place, corner):
     """Replace n columns of places in a field by the field's value there, interpolated bilinearly.
 
-    Parameters
-    ----------
-    field : ndarray of shape (rows, columns), float32
-    n : int
-        At most CHUNK.
-    s : ndarray of float32
-        Columns of the places from index `u` on, which the values replace, and their rows from index
-        `v` on, which are overwritten with weights.
+    field : float32 array (rows, columns)
+    n : int. At most CHUNK.
+    s : float32 array. Columns of the places from index `u` on, which the values
+        replace, and their rows from index `v` on, which are overwritten with
+        weights.
     u, v : int
-    place : ndarray of shape (CHUNK,), uint32
-    corner : ndarray of shape (CORNERS,), float32
-        Working memory, as `place`.
+    place : uint32 array (CHUNK,)
+    corner : float32 array (CORNERS,). Working memory, as `place`.
     """
     rows, columns = field.shape
     flat = field.reshape(rows * columns)

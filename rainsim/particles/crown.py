@@ -48,17 +48,12 @@ _FULL_TURN = 2 * math.pi
 class Crown(NamedTuple):
     """The shape of a crown: see `crown_shape`.
 
-    Attributes
-    ----------
     life : float64 [s]
-    growth : float64 [m s^(-1/2)]
-        Radius of the foot over the square root of the age.
-    height : float64 [m]
-        Greatest.
-    jet : bool
-        Whether a jet follows.
-    fingers : float
-        Of the rim, on the mean.
+    growth : float64 [m s^(-1/2)]. Radius of the foot over the square root of the
+        age.
+    height : float64 [m]. Greatest.
+    jet : bool. Whether a jet follows.
+    fingers : float. Of the rim, on the mean.
     """
 
     life: float
@@ -92,16 +87,9 @@ def crown_life(diameter, speed):
 def crown_shape(impact, size, pixel):
     """Return the `Crown` of an `Impact` on water.
 
-    Parameters
-    ----------
-    impact : Impact
-    size : float
-        See `splash.relative_size`.
-    pixel : float [m]
-        Width of a pixel there.
+    size : float. See `splash.relative_size`.
+    pixel : float [m]. Width of a pixel there.
 
-    Notes
-    -----
     The crown's foot grows as Yarin and Weiss 1995 (J. Fluid Mech. 283, 141) have it, R / D =
     (2 / (3 h / D))^(1/4) (V t / D)^(1/2), times one factor for what the friction takes, which
     cannot be neglected for most of the spreading (Lamanna et al. 2022, J. Fluid Mech.).
@@ -140,17 +128,12 @@ def _strength(diameter, speed):
 def raise_crown(impact, crown, pixel, exposure, count, lines_out):
     """Add the lines of one impact's crown.
 
-    Parameters
-    ----------
-    impact : Impact
-    crown : Crown
-    pixel : float [m]
-        Width of a pixel there: finer detail is not drawn.
+    pixel : float [m]. Width of a pixel there: finer detail is not drawn.
     exposure : float [s]
-    count : array of shape (1,), int
-        Lines so far; raised by those that are added, also where there is no room.
-    lines_out : array of shape (room, 7), float64
-        The columns of `streaks.Line`; only lines that replace FAINTEST of a pixel's light or more.
+    count : array of shape (1,), int. Lines so far; raised by those that are
+        added, also where there is no room.
+    lines_out : array of shape (room, 7), float64. The columns of `streaks.Line`;
+        only lines that replace FAINTEST of a pixel's light or more.
     """
     begin, end = max(impact.age, 0.0), min(impact.age + exposure, crown.life)
     if begin >= end:

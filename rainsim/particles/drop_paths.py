@@ -14,27 +14,20 @@ WEIGHT, DEPTH, RIGHT, DOWN = range(4)  # what a pixel gathers, see `gather_paths
 def path_sums(lines, duration, cameras, opened, depth, far, between=(0.0, np.inf)):
     """Return what each pixel gathers of the drops whose paths cross it.
 
-    Parameters
-    ----------
-    lines : ndarray of shape (n, 7), float64
-        Place [m] and velocity [m/s] in the ground frame, and diameter [m] of each drop.
-    duration : float [s]
-        From the first to the second camera.
-    cameras : tuple of Camera
-        At the start and at the end of the duration, in the ground frame.
-    opened : float
-        Share of the duration while the shutter is open.
-    depth : ndarray of shape (height, width), float32 [m]
-        Places behind it are left out, as are those beyond `far` [m].
+    lines : float64 array (n, 7). Place [m] and velocity [m/s] in the ground
+        frame, and diameter [m] of each drop.
+    duration : float [s]. From the first to the second camera.
+    cameras : tuple of Camera. At the start and at the end of the duration, in the
+        ground frame.
+    opened : float. Share of the duration while the shutter is open.
+    depth : float32 array (height, width) [m]. Places behind it are left out, as
+        are those beyond `far` [m].
     far : float [m]
-    between : tuple of two float [m]
-        Depths that count, the first and not the second.
-
-    Returns
-    -------
-    ndarray of shape (4, height * width), float64
-        WEIGHT, the sum of the squares of visual angles; and the sums, with that weight, of the
-        DEPTH [m] and of the motion in the duration, RIGHT and DOWN [px].
+    between : tuple of two float [m]. Depths that count, the first and not the
+        second.
+    Returns float64 array (4, height * width). WEIGHT, the sum of the squares of
+        visual angles; and the sums, with that weight, of the DEPTH [m] and of the
+        motion in the duration, RIGHT and DOWN [px].
     """
     sums = np.zeros((4, depth.size))
     start, end = cameras

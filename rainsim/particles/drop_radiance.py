@@ -76,21 +76,15 @@ def falling_light(environment, everywhere, ground_from_camera, lens, picture, de
 
     At places from edge to edge; between them it is interpolated, see `shading.composite.compose`.
 
-    Parameters
-    ----------
-    environment : ndarray of shape (rows, columns, 3), float32
-        What lies around, blurred by some degrees: it is sampled sparsely.
-    everywhere : ndarray of shape (3,), float32
-        Its mean, see `mean_radiance`.
-    ground_from_camera : ndarray of shape (3, 3), float32
-    lens : ndarray of shape (4,), float32 [px]
-    picture : ndarray of shape (height, width, 3), float32
-        Radiance of what the camera sees without rain.
-    depth : ndarray of shape (height, width), float32 [m]
-
-    Returns
-    -------
-    drops, sheets : ndarray of shape (9, 13, 3), float32
+    environment : float32 array (rows, columns, 3). What lies around, blurred by
+        some degrees: it is sampled sparsely.
+    everywhere : float32 array (3,). Its mean, see `mean_radiance`.
+    ground_from_camera : float32 array (3, 3)
+    lens : float32 array (4,) [px]
+    picture : float32 array (height, width, 3). Radiance of what the camera sees
+        without rain.
+    depth : float32 array (height, width) [m]
+    Returns drops, sheets : float32 array (9, 13, 3)
     """
     drops, sheets = np.empty((2, *GRID, 3), np.float32)
     size = np.array(depth.shape[::-1], np.float32)
@@ -120,13 +114,9 @@ def sheet_light(m, sight, drop, everywhere):
     Between that of drops and the mean of all around: the share of the mean falls from SEEN_LEVEL by
     SEEN_ABOVE with the sine of the angle at which a splash is seen from above.
 
-    Parameters
-    ----------
-    m : array of shape (3, 3), float32
-        See `refracted`, as for `sight`.
+    m : array of shape (3, 3), float32. See `refracted`, as for `sight`.
     sight
-    drop, everywhere : float32
-        Radiance of drops there, and the mean.
+    drop, everywhere : float32. Radiance of drops there, and the mean.
     """
     a, b, inv = sight
     sine = min(max(-(m[2, 0] * a + m[2, 1] * b + m[2, 2]) * inv, ZERO), ONE)

@@ -38,11 +38,9 @@ def fog_optical_depth(field, depth, far):
 def fog_table(field, far):
     """Return the table of the fog that `shading.composite.compose` reads.
 
-    Returns
-    -------
-    ndarray of shape (FOG_STEPS + 3,), float32
-        The depth [m] up to which there are steps, the extinction [1/m] beyond it, and the optical
-        depth at FOG_STEPS + 1 even steps of depth.
+    Returns float32 array (FOG_STEPS + 3,). The depth [m] up to which there are
+        steps, the extinction [1/m] beyond it, and the optical depth at FOG_STEPS
+        + 1 even steps of depth.
     """
     last = float(np.max(far))
     steps = np.linspace(0.0, last, FOG_STEPS + 1)

@@ -46,13 +46,11 @@ _SHORTEST = np.float32(0.05)  # px; length given to a path that hardly moves
 class SceneDepth(NamedTuple):
     """The scene's depth, as marks are tested against it.
 
-    Attributes
-    ----------
     width, height : int [px]
-    columns : ndarray of shape (width * height,), float32 [m]
-        Depth along the view axis, column by column.
-    tiles : ndarray of shape (2, ceil(height / DEPTH_TILE), ceil(width / DEPTH_TILE)), float32 [m]
-        The greatest and the least depth of each tile.
+    columns : float32 array (width * height,) [m]. Depth along the view axis,
+        column by column.
+    tiles : ndarray of shape (2, ceil(height / DEPTH_TILE), ceil(width /
+        DEPTH_TILE)), float32 [m]. The greatest and the least depth of each tile.
     """
 
     width: int
@@ -96,22 +94,15 @@ class _Axes(NamedTuple):
 def draw_path(path, share, diameter, lens, scene, clear, picture):
     """Draw the first `share` of a drop's straight path.
 
-    Parameters
-    ----------
-    path : Path
-    share : float32
-        Of the path, and of the time: a drop that ends on its way covers the picture for less.
+    share : float32. Of the path, and of the time: a drop that ends on its way
+        covers the picture for less.
     diameter : float32 [m]
-    lens : ndarray of shape (7,), float32
-        See `FX`.
+    lens : float32 array (7,). See `FX`.
     scene : SceneDepth
-    clear : bool
-        Nothing stands before the path: no depth is read then.
-    picture : ndarray of shape (width * height,), int32 or int64
-        Optical depths, column by column; added to.
+    clear : bool. Nothing stands before the path: no depth is read then.
+    picture : int32 array (width * height,) or int64. Optical depths, column by
+        column; added to.
 
-    Notes
-    -----
     A drop covers (pi/4) fx fy (D / z)^2 over the cosine of its angle off the axis: it subtends
     (D / distance)^2, but a pixel there subtends less. A drop out of focus is spread over its circle
     of confusion.

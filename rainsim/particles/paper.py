@@ -28,19 +28,12 @@ SPLASH_LENGTH = 2.0  # longest axis of a splash over the other two; not given
 def draw_lines(field, surfaces, camera, time, far, depth, alpha_out):
     """Draw drops as lines of opaque spheres, whatever their size and the exposure.
 
-    Parameters
-    ----------
     field : RainField
-    surfaces : Surfaces
-    camera : Camera
-        Perspective, in the ground frame, in metres.
+    camera : Camera. Perspective, in the ground frame, in metres.
     time, far : float [s], [m]
-    depth : ndarray of shape (height, width), float32 [m]
-    alpha_out : ndarray of shape (height, width), float32
-        Overwritten.
+    depth : float32 array (height, width) [m]
+    alpha_out : float32 array (height, width). Overwritten.
 
-    Notes
-    -----
     A drop is there unless its own place lies below the map's occluder top or ground: the paper
     tests points, so nothing falls under cover, however slanted the rain.
     """
@@ -67,19 +60,12 @@ def draw_lines(field, surfaces, camera, time, far, depth, alpha_out):
 def draw_gaussians(field, surfaces, camera, start, stop, depth, alpha_out):
     """Draw each drop that fell from `start` to `stop` [s] as one Gaussian where it fell.
 
-    Parameters
-    ----------
     field : RainField
-    surfaces : Surfaces
-    camera : Camera
-    start, stop : float [s]
-        One frame: the paper's splash is there in the frame in which its drop vanishes.
-    depth : ndarray of shape (height, width), float32 [m]
-    alpha_out : ndarray of shape (height, width), float32
-        Overwritten.
+    start, stop : float [s]. One frame: the paper's splash is there in the frame
+        in which its drop vanishes.
+    depth : float32 array (height, width) [m]
+    alpha_out : float32 array (height, width). Overwritten.
 
-    Notes
-    -----
     The covariance has det Sigma = V^2, so the standard deviations' product is the drop's volume
     V; the longest lies along v - (v . n) n with n = z, the others are equal here. Vertical rain
     has no such direction: there it lies along x. Drawn as a disc of the Gaussian's summed opacity,

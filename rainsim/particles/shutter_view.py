@@ -23,20 +23,17 @@ class ShutterView(NamedTuple):
 
     On a device `time` and `exposure` are arrays of shape (1,), as a `View` has its numbers.
 
-    Attributes
-    ----------
-    time, exposure : float [s]
-        The shutter is open from `time` to `time + exposure`.
-    rotation, eye : ndarray of shape (3, 3) and (3,), float64
-        camera_from_ground and the camera's place [m] when the shutter opens.
-    rotation_end, eye_end : ndarray of shape (3, 3) and (3,), float64
-        The same when it closes.
-    axes, axes_end : ndarray of shape (3, 3), float32
-        `rotation` and `rotation_end`, for steps from a place near the camera.
-    lens : ndarray of shape (7,), float32
-        See `line_raster.FX` and its neighbours.
-    planes : ndarray of shape (4, 3), float32
-        Inward normals of the picture's left, right, top and bottom, in the camera frame.
+    time, exposure : float [s]. The shutter is open from `time` to `time +
+        exposure`.
+    rotation, eye : array (3, 3) and (3,), float64. camera_from_ground and the
+        camera's place [m] when the shutter opens.
+    rotation_end, eye_end : array (3, 3) and (3,), float64. The same when it
+        closes.
+    axes, axes_end : float32 array (3, 3). `rotation` and `rotation_end`, for
+        steps from a place near the camera.
+    lens : float32 array (7,). See `line_raster.FX` and its neighbours.
+    planes : float32 array (4, 3). Inward normals of the picture's left, right,
+        top and bottom, in the camera frame.
     """
 
     time: float
@@ -86,15 +83,13 @@ def require_pictures(camera, depth, alpha_out):
 class SeenAir(NamedTuple):
     """The air of each size class that a shutter's view may show.
 
-    Attributes
-    ----------
-    first, last : ndarray of shape (CLASSES, 3), int64
-        First and last cube of each class along x, y and z; none if the last is less.
-    far : ndarray of shape (CLASSES,), float32 [m]
-        Depth along the view axis at which the drawn drops of the class end.
-    slack : ndarray of shape (CLASSES,), float64 [m]
-        At least how far what the camera sees up to `far` moves while the shutter is open, and how
-        far a drop's image reaches around its middle.
+    first, last : int64 array (CLASSES, 3). First and last cube of each class
+        along x, y and z; none if the last is less.
+    far : float32 array (CLASSES,) [m]. Depth along the view axis at which the
+        drawn drops of the class end.
+    slack : float64 array (CLASSES,) [m]. At least how far what the camera sees up
+        to `far` moves while the shutter is open, and how far a drop's image
+        reaches around its middle.
     """
 
     first: np.ndarray
@@ -106,10 +101,8 @@ class SeenAir(NamedTuple):
 def seen_air(field, camera, view, far, aperture=0.0, focus=np.inf):
     """Return the `SeenAir` of a `ShutterView`; arguments as `streaks.draw_streaks` has them.
 
-    Raises
-    ------
-    ParameterError
-        If `far` is neither one number nor one for each class, or not positive.
+    Raises ParameterError if `far` is neither one number nor one for each class,
+        or not positive.
     """
     far = np.asarray(far, dtype=np.float64)
     if far.shape not in ((), (CLASSES,)):
@@ -127,9 +120,7 @@ def seen_air(field, camera, view, far, aperture=0.0, focus=np.inf):
 def footprint(camera, reach, margin=0.0):
     """Return low and high corner (x, y) of a camera's view up to a depth, with a margin [m].
 
-    Returns
-    -------
-    ndarray of shape (2, 2), float64 [m]
+    Returns float64 array (2, 2) [m]
     """
     points = reach * corner_rays(camera) @ camera.camera_from_world[:3, :3] + camera.position
     points = np.concatenate([points, camera.position[None]])[:, :2]
@@ -145,16 +136,12 @@ def find_air(
 ):  # fmt: skip
     """Write the `SeenAir` of a view.
 
-    Parameters
-    ----------
-    rays : ndarray of shape (4, 3), float64
-        The `corner_rays` of its picture.
+    rays : float64 array (4, 3). The `corner_rays` of its picture.
     view : ShutterView
-    far : ndarray of shape (CLASSES,), float64 [m]
+    far : float64 array (CLASSES,) [m]
     aperture, focus : float [m]
     field : DropField
-    first_out, last_out, slack_out : ndarray
-        See `SeenAir`.
+    first_out, last_out, slack_out : ndarray. See `SeenAir`.
     """
     moves, turns = 0.0, 0.0
     for a in range(3):

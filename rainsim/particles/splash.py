@@ -52,18 +52,13 @@ _DROPLET_SPEED = 1.2  # m/s, of a droplet, typically
 class Impact(NamedTuple):
     """A drop that has met a surface.
 
-    Attributes
-    ----------
-    key : uint64
-        The drop's id: the random word that its splash comes from.
+    key : uint64. The drop's id: the random word that its splash comes from.
     x, y, z : float64 [m]
-    vx, vy, speed : float64 [m/s]
-        Horizontal velocity and fall speed.
+    vx, vy, speed : float64 [m/s]. Horizontal velocity and fall speed.
     diameter : float64 [m]
-    depth : float64 [m]
-        Of the water that it met.
-    age : float64 [s]
-        From the impact to the opening of the shutter; negative if the impact comes later.
+    depth : float64 [m]. Of the water that it met.
+    age : float64 [s]. From the impact to the opening of the shutter; negative if
+        the impact comes later.
     """
 
     key: int
@@ -88,14 +83,10 @@ def weber_number(diameter, speed):
 def splashes_on(depth, diameter, speed):
     """Tell whether a drop splashes on water of some depth; numbers or arrays.
 
-    Parameters
-    ----------
     depth, diameter : float or ndarray [m]
-    speed : float or ndarray [m/s]
-        Of the fall: also on sloping ground and on the sides of objects.
+    speed : float or ndarray [m/s]. Of the fall: also on sloping ground and on the
+        sides of objects.
 
-    References
-    ----------
     On a film sqrt(We) > 20 (Vander Wal, Berger and Mozes 2006, Exp. Fluids 40, 53); on a dry rough
     surface K = sqrt(We) Re^(1/4) > 57.7 (Mundo, Sommerfeld and Tropea 1995, Int. J. Multiphase
     Flow 21, 151).
@@ -130,8 +121,6 @@ def least_seen(pixel, exposure):
 def relative_size(depth_over_diameter):
     """Return the size of a splash over the largest that such a drop makes.
 
-    References
-    ----------
     Mutchler and Hansen 1970, Science 169, 1311: largest on water as deep as a third of the
     diameter, constant from three diameters on. The two levels relative to the peak are guesses.
     """
@@ -149,26 +138,16 @@ def droplet(impact, n, count, size, exposure):
     height lasts. The air takes over its motion in a time tau: dv/dt = -g - v / tau, which is exact
     for the fall speed and brakes the fast start of the flight too little.
 
-    Parameters
-    ----------
-    impact : Impact
-    n, count : int
-        Its number, and how many droplets there are.
-    size : float
-        See `relative_size`.
-    exposure : float [s]
-        0 for a moment. With an exposure the velocity is the way during the exposure over the
-        exposure, and the diameter that of the disc that covers as much for all of the exposure as
-        the droplet does while it lives.
-
-    Returns
-    -------
-    seen : bool
-        Whether it is in the air at any time of the exposure.
-    x, y, z, vx, vy, vz, diameter : float64
-        [m], [m/s]; the place is that at which it is first seen.
-    id : uint64
-        The same in every frame.
+    n, count : int. Its number, and how many droplets there are.
+    size : float. See `relative_size`.
+    exposure : float [s]. 0 for a moment. With an exposure the velocity is the way
+        during the exposure over the exposure, and the diameter that of the disc
+        that covers as much for all of the exposure as the droplet does while it
+        lives.
+    Returns seen : bool. Whether it is in the air at any time of the exposure.
+        x, y, z, vx, vy, vz, diameter : float64. [m], [m/s]; the place is that at
+            which it is first seen.
+        id : uint64. The same in every frame.
     """
     word = subkey(impact.key, -1 - n)
     flight, spread, chance = uniform_triple(word)

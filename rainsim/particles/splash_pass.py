@@ -86,12 +86,8 @@ LISTED = 4096  # splashes of a worker, at first: with too little room all are dr
 class WaterDepth(NamedTuple):
     """The water that drops fall on.
 
-    Attributes
-    ----------
-    ground : ndarray of shape (ny, nx), float32 [m]
-        On the ground of the map.
-    film : float [m]
-        On all else, and at least that on the ground.
+    ground : float32 array (ny, nx) [m]. On the ground of the map.
+    film : float [m]. On all else, and at least that on the ground.
     """
 
     ground: np.ndarray
@@ -101,12 +97,9 @@ class WaterDepth(NamedTuple):
 class _Windows(NamedTuple):
     """Where and when drops may have fallen whose splash shows, as two lists class by class.
 
-    Attributes
-    ----------
-    starts, stops : ndarray of shape (2, CLASSES), float64 [s]
-        A class whose stop is not after its start has no such drops.
-    first, last : ndarray of shape (2, CLASSES, 3), int64
-        First and last cubes.
+    starts, stops : float64 array (2, CLASSES) [s]. A class whose stop is not
+        after its start has no such drops.
+    first, last : int64 array (2, CLASSES, 3). First and last cubes.
     """
 
     starts: np.ndarray
@@ -121,29 +114,22 @@ def draw_splashes(
 ):  # fmt: skip
     """Draw all that an exposure sees of splashes: crowns, jets and droplets.
 
-    Parameters
-    ----------
     field : RainField
-    surfaces : Surfaces
-        What the drops fall on: ground, puddles, tables and roofs.
-    camera : Camera
-        Perspective, in the ground frame, in metres.
-    time, exposure : float [s]
-        The shutter is open from `time` to `time + exposure`.
-    water_depth : ndarray of shape (ny, nx) [m]
-        Water on the ground of the map, now.
-    film : float [m]
-        Water on all else, and at least that on the ground: WET_FILM in the rain, 0 at its start.
-    depth : ndarray of shape (height, width), float32 [m]
-        Depth along the view axis of what the splashes are before or behind; inf for sky.
-    alpha_out : ndarray of shape (height, width), float32
-        Overwritten with the share of light that splashes replace.
-    camera_end : Camera or None
-        The camera when the shutter closes, if it moves.
-    aperture, focus : float [m]
-        As in `draw_streaks`.
-    more : Impacts or None
-        Of drops that are not the field's: drips.
+    surfaces : Surfaces. What the drops fall on: ground, puddles, tables and
+        roofs.
+    camera : Camera. Perspective, in the ground frame, in metres.
+    time, exposure : float [s]. The shutter is open from `time` to `time +
+        exposure`.
+    water_depth : array (ny, nx) [m]. Water on the ground of the map, now.
+    film : float [m]. Water on all else, and at least that on the ground: WET_FILM
+        in the rain, 0 at its start.
+    depth : float32 array (height, width) [m]. Depth along the view axis of what
+        the splashes are before or behind; inf for sky.
+    alpha_out : float32 array (height, width). Overwritten with the share of light
+        that splashes replace.
+    camera_end : Camera or None. The camera when the shutter closes, if it moves.
+    aperture, focus : float [m]. As in `draw_streaks`.
+    more : Impacts or None. Of drops that are not the field's: drips.
     """
     view = shutter_view(camera, time, exposure, camera_end, aperture, focus)
     water = WaterDepth(np.asarray(water_depth, np.float32), float(film))
@@ -155,16 +141,10 @@ def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, de
 
     A splash that other things hide is among them.
 
-    Parameters
-    ----------
-    field, surfaces, camera, time, exposure, water_depth, film, depth, more
-        As in `draw_splashes`.
-
-    Returns
-    -------
-    position : ndarray of shape (n, 3), float64
-    id : ndarray of shape (n,), uint64
-        Ascending.
+    field, surfaces, camera, time, exposure, water_depth, film, depth, more. As in
+        `draw_splashes`.
+    Returns position : float64 array (n, 3)
+        id : uint64 array (n,). Ascending.
     """
     view = shutter_view(camera, time, exposure)
     water = WaterDepth(np.asarray(water_depth, np.float32), float(film))
@@ -354,14 +334,10 @@ def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids
 def list_splash(impact, pixel, exposure, count, lines_out):
     """Add the lines of one impact: droplets, crown and jet.
 
-    Parameters
-    ----------
-    impact : Impact
-    pixel : float [m]
-        Width of a pixel there.
+    pixel : float [m]. Width of a pixel there.
     exposure : float [s]
-    count, lines_out
-        As `crown.raise_crown` has them. Threads that draw a mark together share the pieces.
+    count, lines_out. As `crown.raise_crown` has them. Threads that draw a mark
+        together share the pieces.
     """
     diameter, speed, age = impact.diameter, impact.speed, impact.age
     if not splashes_on(impact.depth, diameter, speed):

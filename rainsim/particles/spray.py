@@ -95,15 +95,11 @@ def _scattered(parcels, spread, count):
 def lay_clouds(puffs, camera, depth, alpha_out):
     """Put clouds before a picture.
 
-    Parameters
-    ----------
-    puffs : Puffs
-    camera : Camera
-        In the ground frame.
-    depth : ndarray of shape (height, width), float32 [m]
-        Along the view axis, of what the clouds are before or behind.
-    alpha_out : ndarray of shape (height, width), float32
-        Share of light that drops replace; the clouds' is added as of one behind the other.
+    camera : Camera. In the ground frame.
+    depth : float32 array (height, width) [m]. Along the view axis, of what the
+        clouds are before or behind.
+    alpha_out : float32 array (height, width). Share of light that drops replace;
+        the clouds' is added as of one behind the other.
     """
     if len(puffs.section):
         clouds, boxes = cloud_table(puffs, camera)
@@ -114,12 +110,10 @@ def lay_clouds(puffs, camera, depth, alpha_out):
 def cloud_table(puffs, camera):
     """Return clouds as the kernels of both backends take them.
 
-    Returns
-    -------
-    clouds : ndarray of shape (n, 5), float32 [m], [m2]
-        Place in the camera's frame, deviation and cross-section.
-    boxes : ndarray of shape (n, 4), int32 [px]
-        First column and the one behind the last, and rows so, of what shows a cloud up to CUT.
+    Returns clouds : float32 array (n, 5) [m], [m2]. Place in the camera's frame,
+        deviation and cross-section.
+        boxes : int32 array (n, 4) [px]. First column and the one behind the last,
+            and rows so, of what shows a cloud up to CUT.
     """
     place, reach = camera_points(camera, puffs.place), CUT * puffs.deviation
     boxes = np.empty((len(place), 4), np.int32)

@@ -92,37 +92,28 @@ def draw_streaks(
 ):  # fmt: skip
     """Draw the drops between NEAR and `far` as they move during the exposure.
 
-    Parameters
-    ----------
     field : RainField
-    surfaces : Surfaces or None
-        Drops end on them and there are none under cover; None for open air.
-    camera : Camera
-        Perspective, in the ground frame, in metres.
-    time, exposure : float [s]
-        The shutter is open from `time` to `time + exposure`.
-    depth : ndarray of shape (height, width), float32 [m]
-        Depth along the view axis of what the drops are in front of or behind; inf for sky.
-    far : float or ndarray of shape (CLASSES,) [m]
-        Depth along the view axis at which drawn drops end and fog begins, counted at `time`; of
-        each class if they differ (see `streak_reach`). Up to NEAR, none of the field is drawn.
-    alpha_out : ndarray of shape (height, width), float32
-        Overwritten with the share of light that drops replace, in [0, 1].
-    camera_end : Camera or None
-        The camera when the shutter closes, if it moves.
-    aperture, focus : float [m]
-        Diameter of the lens's opening, 0 for a pinhole, and the depth that is in focus. A drop at
-        depth z is spread over aperture f |1/z - 1/focus| pixels, its summed alpha unchanged.
-    more : ndarray of shape (n, 7), float64
-        Drops that are not the field's, such as drips: the columns of `Line`.
+    surfaces : Surfaces or None. Drops end on them and there are none under cover;
+        None for open air.
+    camera : Camera. Perspective, in the ground frame, in metres.
+    time, exposure : float [s]. The shutter is open from `time` to `time +
+        exposure`.
+    depth : float32 array (height, width) [m]. Depth along the view axis of what
+        the drops are in front of or behind; inf for sky.
+    far : float or array (CLASSES,) [m]. Depth along the view axis at which drawn
+        drops end and fog begins, counted at `time`; of each class if they differ
+        (see `streak_reach`). Up to NEAR, none of the field is drawn.
+    alpha_out : float32 array (height, width). Overwritten with the share of light
+        that drops replace, in [0, 1].
+    camera_end : Camera or None. The camera when the shutter closes, if it moves.
+    aperture, focus : float [m]. Diameter of the lens's opening, 0 for a pinhole,
+        and the depth that is in focus. A drop at depth z is spread over aperture
+        f |1/z - 1/focus| pixels, its summed alpha unchanged.
+    more : float64 array (n, 7). Drops that are not the field's, such as drips:
+        the columns of `Line`.
+    Raises ParameterError if the camera is orthographic, or the exposure or `far`
+        is not positive.
 
-    Raises
-    ------
-    ParameterError
-        If the camera is orthographic, or the exposure or `far` is not positive.
-
-    Notes
-    -----
     The split is a plane across the view axis, for drops and fog alike; beside the axis both count
     the longer way through the air.
     """
@@ -304,12 +295,9 @@ def drawing_buffers(shape):
 
     Kept from call to call, for fresh memory costs as much as the drawing.
 
-    Returns
-    -------
-    columns : ndarray of shape (height * width,), float32
-    tiles : ndarray of shape (2, rows, columns), float32
-    pictures : ndarray of shape (threads, height * width), int32
-        Not blank.
+    Returns columns : float32 array (height * width,)
+        tiles : float32 array (2, rows, columns)
+        pictures : int32 array (threads, height * width). Not blank.
     """
     wanted = (set_threads(None), *shape)
     if getattr(_kept, "shape", None) != wanted:

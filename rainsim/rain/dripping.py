@@ -34,19 +34,13 @@ _MOST_AT_ONCE = 64  # drops from one point in one step; more is a jet
 class Drips:
     """The water on the objects of a map and the drops that leave them.
 
-    Parameters
-    ----------
-    surfaces : Surfaces
     seed : int
-    wet : bool
-        Whether it has rained before: films are full and each edge holds part of a drop.
-
-    Attributes
-    ----------
-    held : float
-        Water on the objects [m3]: films, puddles, hanging drops, and water that can reach no edge.
-    point : ndarray of shape (ny, nx), int32
-        The drip point that a cell's water goes to; -1 for ground, -2 where it finds no edge.
+    wet : bool. Whether it has rained before: films are full and each edge holds
+        part of a drop.
+    held : float. Water on the objects [m3]: films, puddles, hanging drops, and
+        water that can reach no edge.
+    point : int32 array (ny, nx). The drip point that a cell's water goes to; -1
+        for ground, -2 where it finds no edge.
     """
 
     def __init__(self, surfaces, seed=0, wet=True):
@@ -111,10 +105,7 @@ class Drips:
     def take_rain(self, hits, fine_depth=0.0):
         """Give the objects the drops that fell on them and a depth [m] of finer rain.
 
-        Returns
-        -------
-        float
-            The water that came [m3].
+        Returns float. The water that came [m3].
         """
         hit = hits.kind == OBSTACLE
         goes, volume = self.point[hits.row[hit], hits.column[hit]], hits.volume[hit]
@@ -138,19 +129,11 @@ class Drips:
     def advance(self, start, stop, wind=(0.0, 0.0), roughness=0.0):
         """Let drops part, fall and land from `start` to `stop` [s].
 
-        Parameters
-        ----------
         start, stop : float [s]
-        wind : (float, float) [m/s]
-            At `wind.WIND_HEIGHT`.
-        roughness : float [m]
-            Of the land, see `wind.wind_shares`.
-
-        Returns
-        -------
-        row, column : ndarray of shape (m,), int64
-        volume : ndarray of shape (m,), float64 [m3]
-            What came to the ground.
+        wind : (float, float) [m/s]. At `wind.WIND_HEIGHT`.
+        roughness : float [m]. Of the land, see `wind.wind_shares`.
+        Returns row, column : int64 array (m,)
+            volume : float64 array (m,) [m3]. What came to the ground.
         """
         gone, still = _split(self._flight, self._flight["end"] < stop)
         self._flight = still

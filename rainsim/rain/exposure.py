@@ -27,13 +27,8 @@ def rain_exposure(terrain, wind, roughness=0.0):
     of a dry patch is soft in nature. The exposure of a large map is kept for the next run, see
     `rainsim.io.cache`.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    wind : tuple of float
-        Speed [m/s] at 10 m and direction [rad].
-    roughness : float [m]
-        See `rain.wind.wind_shares`.
+    wind : tuple of float. Speed [m/s] at 10 m and direction [rad].
+    roughness : float [m]. See `rain.wind.wind_shares`.
     """
     if terrain.bed.size < LEAST_KEPT:
         return computed_exposure(terrain, wind, roughness)
@@ -89,17 +84,13 @@ def _find_open_share(bed, top, underside, spacing, ways, ceiling, box, share_out
     Ways that begin in one row are at the same place of their cells after each step, so that they
     look at one other row together.
 
-    Parameters
-    ----------
-    bed, top, underside : ndarray of shape (ny, nx), float32 [m]
+    bed, top, underside : float32 array (ny, nx) [m]
     spacing : float32 [m]
-    ways : ndarray of shape (n, 2), float32
-        Metres sideways per metre upwards.
-    ceiling : float32 [m]
-        Height above which nothing stands.
-    box : ndarray of shape (4,), float32
-        See `_box_of`: the cells with tops. Beside them a way is free.
-    share_out : ndarray of shape (ny, nx), float32
+    ways : float32 array (n, 2). Metres sideways per metre upwards.
+    ceiling : float32 [m]. Height above which nothing stands.
+    box : float32 array (4,). See `_box_of`: the cells with tops. Beside them a
+        way is free.
+    share_out : float32 array (ny, nx)
     """
     ny, nx = bed.shape
     first, last, lowest_row, highest_row = box

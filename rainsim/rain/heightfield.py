@@ -28,19 +28,15 @@ _INFINITY = np.inf
 class HeightFields(NamedTuple):
     """The arrays of `Surfaces` that kernels read.
 
-    Attributes
-    ----------
-    x0, y0 : float [m]
-        The map's lower left corner.
+    x0, y0 : float [m]. The map's lower left corner.
     spacing : float [m]
-    sky : float [m]
-        A height above all tops: paths are followed from there.
-    ground, underside, top : ndarray of shape (ny, nx), float32 [m]
-        As `Surfaces` has them.
-    patch_high : ndarray of shape (ceil(ny / PATCH), ceil(nx / PATCH)), float32 [m]
-        The highest top in each patch of PATCH x PATCH cells.
-    around_low, around_high : ndarray of shape (ceil(ny / BLOCK), ceil(nx / BLOCK)), float32 [m]
-        The lowest ground and the highest top of each block and its eight neighbours.
+    sky : float [m]. A height above all tops: paths are followed from there.
+    ground, underside, top : float32 array (ny, nx) [m]. As `Surfaces` has them.
+    patch_high : ndarray of shape (ceil(ny / PATCH), ceil(nx / PATCH)), float32
+        [m]. The highest top in each patch of PATCH x PATCH cells.
+    around_low, around_high : ndarray of shape (ceil(ny / BLOCK), ceil(nx /
+        BLOCK)), float32 [m]. The lowest ground and the highest top of each block
+        and its eight neighbours.
     """
 
     x0: float
@@ -63,21 +59,15 @@ class Surfaces:
     `underside` to `top` is solid, and so is everything below `ground`. Beyond the map's edge
     nothing stops a drop.
 
-    Parameters
-    ----------
     spacing : float [m]
-    origin : (float, float) [m]
-        x and y of the map's lower left corner.
-    ground : ndarray of shape (ny, nx), float32 [m]
-    top : ndarray of shape (ny, nx), float32 [m]
-        Top of the occluder; equals `ground` where there is none. Values below it are raised to it.
-    underside : ndarray of shape (ny, nx), float32 [m]
-        Bottom of the occluder; equals `ground` where it stands on the ground.
-
-    Raises
-    ------
-    ParameterError
-        If the shapes differ, a height is not finite or the spacing is not positive.
+    origin : (float, float) [m]. x and y of the map's lower left corner.
+    ground : float32 array (ny, nx) [m]
+    top : float32 array (ny, nx) [m]. Top of the occluder; equals `ground` where
+        there is none. Values below it are raised to it.
+    underside : float32 array (ny, nx) [m]. Bottom of the occluder; equals
+        `ground` where it stands on the ground.
+    Raises ParameterError if the shapes differ, a height is not finite or the
+        spacing is not positive.
     """
 
     spacing: float
@@ -117,12 +107,8 @@ class Surfaces:
     def changed(self, top, underside, parts):
         """Return these surfaces with other tops and undersides, which differ in `parts` alone.
 
-        Parameters
-        ----------
-        top, underside : ndarray of shape (ny, nx), float32 [m]
-            Not lower than the ground.
-        parts : sequence of tuple of slice
-            Rows and columns.
+        top, underside : float32 array (ny, nx) [m]. Not lower than the ground.
+        parts : sequence of tuple of slice. Rows and columns.
         """
         other = copy(self)
         high, around = self.patch_high.copy(), self.around_high.copy()
@@ -223,22 +209,17 @@ def first_hit(x, y, z, vx, vy, vz, since, end, surfaces):
 
     The drop is at (x, y, z) at time 0 and moves with constant velocity, vz < 0.
 
-    Parameters
-    ----------
     x, y, z : float64 [m]
     vx, vy, vz : float64 [m/s]
-    since, end : float64 [s]
-        The part of the path that counts; minus infinity for all of it from the open sky.
+    since, end : float64 [s]. The part of the path that counts; minus infinity for
+        all of it from the open sky.
     surfaces : HeightFields
-
-    Returns
-    -------
-    time : float64 [s]
-        Of the hit; infinite if there is none up to `end`, minus infinite if the path begins inside
-        a solid, at `since` or at the map's edge, so that the drop was stopped before.
-    kind : int
-        GROUND or OBSTACLE (top or side of an occluder), negative if there is no hit.
-    row, column : int
+    Returns time : float64 [s]. Of the hit; infinite if there is none up to `end`,
+        minus infinite if the path begins inside a solid, at `since` or at the
+        map's edge, so that the drop was stopped before.
+        kind : int. GROUND or OBSTACLE (top or side of an occluder), negative if
+            there is no hit.
+        row, column : int
     """
     if z + vz * end > surfaces.sky:
         return _INFINITY, _MISSED, 0, 0

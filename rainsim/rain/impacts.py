@@ -34,18 +34,15 @@ _MOST_VALUES, _MOST_LABELS = 5, 4  # per row of a listing
 class Impacts:
     """Drops that ended on a surface, each with its own time.
 
-    Attributes
-    ----------
-    position : ndarray of shape (n, 3), float64 [m]
-    velocity : ndarray of shape (n, 3), float64 [m/s]
-    diameter : ndarray of shape (n,), float64 [m]
-    time : ndarray of shape (n,), float64 [s]
-    kind : ndarray of shape (n,), uint8
-        GROUND (the ground or the water on it) or OBSTACLE (top or side of an occluder).
-    row, column : ndarray of shape (n,), int32 (drops of the rain) or int64 (drips)
-        The cell of the map.
-    id : ndarray of shape (n,), uint64
-        The drops' ids, ascending.
+    position : float64 array (n, 3) [m]
+    velocity : float64 array (n, 3) [m/s]
+    diameter : float64 array (n,) [m]
+    time : float64 array (n,) [s]
+    kind : uint8 array (n,). GROUND (the ground or the water on it) or OBSTACLE
+        (top or side of an occluder).
+    row, column : int32 array (n,) (drops of the rain) or int64 (drips). The cell
+        of the map.
+    id : uint64 array (n,). The drops' ids, ascending.
     """
 
     position: np.ndarray
@@ -111,12 +108,8 @@ def joined(*parts):
 def cubes_swept(size_class, i, j, start, stop, field, surfaces):
     """Return which cubes (i, j, k) of a class may hold drops that end in [start, stop).
 
-    Returns
-    -------
-    first, last : int
-        Of k; none if the last is less than the first.
-    lowest, highest : float64 [m]
-        Where such a drop would be at time 0.
+    Returns first, last : int. Of k; none if the last is less than the first.
+        lowest, highest : float64 [m]. Where such a drop would be at time 0.
     """
     side, block, duration = field.cube[size_class], surfaces.spacing * BLOCK, stop - start
     vx, vy, vz = (
@@ -167,13 +160,10 @@ def may_land(word, cube, start, stop, lowest, highest, field, surfaces):
 def landing(word, cube, start, stop, field, surfaces):
     """Return when and where a drop that may land ends.
 
-    Returns
-    -------
-    time : float64 [s]
-        Infinite, or not in [start, stop), if the drop does not end then.
-    kind, row, column : int
-        As `heightfield.first_hit` has them.
-    x, y, z : float64 [m]
+    Returns time : float64 [s]. Infinite, or not in [start, stop), if the drop
+        does not end then.
+        kind, row, column : int. As `heightfield.first_hit` has them.
+        x, y, z : float64 [m]
     """
     b = cube.size_class
     vx, vy, vz = field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2]
@@ -197,21 +187,15 @@ def fill_impacts(
 ):  # fmt: skip
     """List the drops of each slab of cubes that end in [start, stop).
 
-    Parameters
-    ----------
-    tasks : ndarray of shape (n, 2), int64
-        Class and first number i of each slab's cubes.
-    first, last : ndarray of shape (CLASSES, 3), int64
+    tasks : int64 array (n, 2). Class and first number i of each slab's cubes.
+    first, last : int64 array (CLASSES, 3)
     start, stop : float64 [s]
     field : DropField
     surfaces : HeightFields
-    offset, needed_out
-        As `run_listing` gives them.
-    values_out : ndarray of shape (rows, 5), float64
-        x, y, z, diameter [m] and time [s].
-    labels_out : ndarray of shape (rows, 4), int32
-        Class, kind, row and column.
-    ids_out : ndarray of shape (rows,), uint64
+    offset, needed_out. As `run_listing` gives them.
+    values_out : float64 array (rows, 5). x, y, z, diameter [m] and time [s].
+    labels_out : int32 array (rows, 4). Class, kind, row and column.
+    ids_out : uint64 array (rows,)
     """
     for t in prange(tasks.shape[0]):
         b, i = tasks[t]

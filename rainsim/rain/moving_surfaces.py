@@ -45,18 +45,10 @@ def begun(before, times, kept, find):
 class MovingSurfaces:
     """The surfaces of a terrain with the actors on it, one moment after another.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    wind : tuple of float
-        Speed [m/s] at 10 m and direction [rad]: which way the rain comes from.
-    roughness : float [m]
-        See `rain.wind.wind_shares`.
-
-    Attributes
-    ----------
-    still : Surfaces
-        Without what moves.
+    wind : tuple of float. Speed [m/s] at 10 m and direction [rad]: which way the
+        rain comes from.
+    roughness : float [m]. See `rain.wind.wind_shares`.
+    still : Surfaces. Without what moves.
     """
 
     def __init__(self, terrain, wind=(0.0, 0.0), roughness=0.0):
@@ -73,12 +65,10 @@ class MovingSurfaces:
     def moment(self, time):
         """Return the `Surfaces` at a time [s] and the parts of the map that actors shelter.
 
-        Returns
-        -------
-        surfaces : Surfaces
-        shelters : list of (part, share)
-            Rows and columns, two slices, and the share of the rain there that the actors let
-            through to the ground, float32. Parts may overlap: shares are multiplied.
+        Returns surfaces : Surfaces
+            shelters : list of (part, share). Rows and columns, two slices, and
+                the share of the rain there that the actors let through to the
+                ground, float32. Parts may overlap: shares are multiplied.
         """
         if not self._terrain.footprints:
             return self.still, []

@@ -27,21 +27,18 @@ _DIAMETER_STREAM = np.uint64(0xD1A3)
 class DropField(NamedTuple):
     """The arrays of `rainsim.drops.RainField` that kernels read, class by class.
 
-    Attributes
-    ----------
-    velocity : ndarray of shape (CLASSES, 3), float64 [m/s]
-    cube : ndarray of shape (CLASSES,), float64 [m]
-        Side of the cubes, a power of two.
-    class_key : ndarray of shape (CLASSES,), uint64
-        The random key that the keys of the cubes come from.
-    count : ndarray of shape (CLASSES, most), float64
-        Cumulative Poisson distribution of the number of drops in a cube.
-    size : ndarray of shape (CLASSES, 3), float64
-        Lowest diameter [m], share of the exponential distribution within the class, its scale [m].
-    share : ndarray of shape (CLASSES, ticks), float64
-        Share of the drops that the rain has at even times; one tick for a steady rain.
-    frame : ndarray of shape (CLASSES, 4), float64
-        Offset of the co-moving frame along x and y [m], first tick [s] and ticks per second.
+    velocity : float64 array (CLASSES, 3) [m/s]
+    cube : float64 array (CLASSES,) [m]. Side of the cubes, a power of two.
+    class_key : uint64 array (CLASSES,). The random key that the keys of the cubes
+        come from.
+    count : float64 array (CLASSES, most). Cumulative Poisson distribution of the
+        number of drops in a cube.
+    size : float64 array (CLASSES, 3). Lowest diameter [m], share of the
+        exponential distribution within the class, its scale [m].
+    share : float64 array (CLASSES, ticks). Share of the drops that the rain has
+        at even times; one tick for a steady rain.
+    frame : float64 array (CLASSES, 4). Offset of the co-moving frame along x and
+        y [m], first tick [s] and ticks per second.
     """
 
     velocity: np.ndarray
@@ -134,17 +131,11 @@ def cubes_along(low, high, start, duration, velocity, offset, side):
 
     Numbers, or arrays of a shape.
 
-    Parameters
-    ----------
-    low, high : float [m]
-        Where the drops come by.
+    low, high : float [m]. Where the drops come by.
     start, duration : float [s]
-    velocity : float [m/s]
-        Of the drops.
-    offset : float [m]
-        Of the co-moving frame.
-    side : float [m]
-        Of the cubes.
+    velocity : float [m/s]. Of the drops.
+    offset : float [m]. Of the co-moving frame.
+    side : float [m]. Of the cubes.
     """
     drift, before = velocity * duration, velocity * start
     first = np.floor((low - np.maximum(drift, 0.0) - before - offset) / side)
@@ -169,18 +160,12 @@ def _shuffled(count):
 def swept_cubes(field, surfaces, start, stop, within=None):
     """Return the cubes whose drops may end on the map in an interval.
 
-    Parameters
-    ----------
-    field, surfaces, within
-        As `drops.impacts` has them.
-    start, stop : float or ndarray of shape (CLASSES,) [s]
-
-    Returns
-    -------
-    first, last : ndarray of shape (CLASSES, 3), int64
-        The first and last cubes of each class; `impacts.cubes_swept` narrows them along z.
-    corner, opposite : ndarray of shape (2,) [m]
-        Of the part of the map that `within` selects.
+    field, surfaces, within. As `drops.impacts` has them.
+    start, stop : float or array (CLASSES,) [s]
+    Returns first, last : int64 array (CLASSES, 3). The first and last cubes of
+        each class; `impacts.cubes_swept` narrows them along z.
+        corner, opposite : array (2,) [m]. Of the part of the map that `within`
+            selects.
     """
     start = np.asarray(start, np.float64)[..., None]
     corner, ny, nx = np.array(surfaces.origin, np.float64), *surfaces.shape

@@ -29,8 +29,6 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 def terminal_speed(diameter):
     """Fall speed of a drop [m/s] in still air at sea level; `diameter` in metres.
 
-    References
-    ----------
     Brandes, Zhang and Vivekanandan 2002, J. Appl. Meteorol. 41, 674, their polynomial, here from
     0.1 to 6 mm; within 2 % of Gunn and Kinzer (1949) from 1 to 6 mm. Below 0.02 mm, where it
     would be negative, the speed is 0.
@@ -94,38 +92,27 @@ SIZE_LAWS = {"measured": marshall_palmer, "paper": paper_sizes}
 class RainSpectrum:
     """The drops of a rain.
 
-    Parameters
-    ----------
-    rate_mm_per_hour : float [mm/h]
-        What a gauge collects; 0 gives a spectrum without drops.
-    radii : str
-        Name of one of `SIZE_LAWS`: "measured", or "paper" for the baseline of the paper (RainyGS):
-        radii of one exponential distribution whatever the rate, and one speed for all drops. There
-        are as many drops as the rate asks for; the paper leaves their number to its user.
-
-    Attributes
-    ----------
+    rate_mm_per_hour : float [mm/h]. What a gauge collects; 0 gives a spectrum
+        without drops.
+    radii : str. Name of one of `SIZE_LAWS`: "measured", or "paper" for the
+        baseline of the paper (RainyGS): radii of one exponential distribution
+        whatever the rate, and one speed for all drops. There are as many drops as
+        the rate asks for; the paper leaves their number to its user.
     rate : float [m/s]
     law : SizeLaw
-    decay : float [1/m]
-        Of the law.
-    intercept : float [1/m4]
-        Of the law: as many drops as bring the rate.
-    edges : ndarray of shape (CLASSES + 1,), float64 [m]
-        Diameters between the classes.
-    density : ndarray of shape (CLASSES,), float64 [1/m3]
-        Drops per volume of air.
-    speed : ndarray of shape (CLASSES,), float64 [m/s]
-        The one fall speed of all drops of the class; the same at every rate, so that drops stay
-        where they are when the rate changes.
-    extinction : ndarray of shape (CLASSES,), float64 [1/m]
-        Shadow area per volume, (pi/4) integral N D^2 dD.
-    fine_rate : float [m/s]
-        Rate of the drops under SMALLEST: what to add as continuous rain.
+    decay : float [1/m]. Of the law.
+    intercept : float [1/m4]. Of the law: as many drops as bring the rate.
+    edges : float64 array (CLASSES + 1,) [m]. Diameters between the classes.
+    density : float64 array (CLASSES,) [1/m3]. Drops per volume of air.
+    speed : float64 array (CLASSES,) [m/s]. The one fall speed of all drops of the
+        class; the same at every rate, so that drops stay where they are when the
+        rate changes.
+    extinction : float64 array (CLASSES,) [1/m]. Shadow area per volume, (pi/4)
+        integral N D^2 dD.
+    fine_rate : float [m/s]. Rate of the drops under SMALLEST: what to add as
+        continuous rain.
     fine_extinction : float [1/m]
 
-    Notes
-    -----
     Marshall and Palmer 1948, J. Meteorol. 5, 165: Lambda = 4.1 R^-0.21 per mm, R in mm/h. Their
     N0 = 8000 m^-3 mm^-1 with real fall speeds returns 9 to 19 % too much water, so N0 is chosen
     here to satisfy integral_0^LARGEST N v (pi/6) D^3 dD = rate, with the classes' speeds for v.

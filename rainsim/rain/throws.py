@@ -138,8 +138,6 @@ def thrown_by(rolls):
 def flying(rolls, time):
     """Return the `Parcels` of drops of `Rolls` that are in the air at a time [s].
 
-    Notes
-    -----
     Drag pulls the velocity towards that of a drop that falls in the wind, at the rate 1 / t with
     t = v^2 / (g (v + s w)), v the fall speed, w the first speed through the air and s `AIR_DRAG`:
     quadratic drag made linear, so that the path has a closed form.

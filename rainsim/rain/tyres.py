@@ -60,10 +60,8 @@ class Rolls(NamedTuple):
 def cars_of(footprints, render):
     """Return the motions of the actors that have tyres; none if a RenderConfig leaves spray out.
 
-    Raises
-    ------
-    ParameterError
-        If a car's box is none of a road vehicle, or its track faster than FASTEST.
+    Raises ParameterError if a car's box is none of a road vehicle, or its track
+        faster than FASTEST.
     """
     if render.spray == "off":
         return []

@@ -22,20 +22,12 @@ _FALLS, _FALL_WEIGHTS = np.polynomial.laguerre.laggauss(40)
 def wind_shares(speed, roughness):
     """Return the horizontal speed of drops near the ground over the wind at WIND_HEIGHT.
 
-    Parameters
-    ----------
-    speed : ndarray of shape (n,) [m/s]
-        Fall speeds.
-    roughness : float [m]
-        Roughness length of the land around: 0.005 smooth, 0.03 grass, 0.1 crops, 0.5 suburbs
-        (Davenport's classes); 0 for a wind that is the same at all heights.
+    speed : array (n,) [m/s]. Fall speeds.
+    roughness : float [m]. Roughness length of the land around: 0.005 smooth, 0.03
+        grass, 0.1 crops, 0.5 suburbs (Davenport's classes); 0 for a wind that is
+        the same at all heights.
+    Returns float64 array (n,)
 
-    Returns
-    -------
-    ndarray of shape (n,), float64
-
-    Notes
-    -----
     The wind is u(z) = u_10 ln(1 + z / z0) / ln(1 + 10 m / z0). A drop that falls at v yields to a
     horizontal wind as dw/dt = (u - w) g / v, the linearised quadratic drag, so that at height z it
     has w(z) = integral_0^inf u(z + s v^2 / g) exp(-s) ds. Given is the mean of w from the ground to

@@ -25,14 +25,10 @@ def mirror_step(name, rate, surface_film, lens):
 
     It follows from the moment and the lens alone: so a frame is the same in any film.
 
-    Parameters
-    ----------
-    name : {"auto", "full", "half"}
-        "auto" takes half the size where rings on open water blur what it mirrors by HALF_BLUR.
-    rate : float [m/s]
-        Of the rain.
-    surface_film : float
-        How far a film of dirt calms the rings, 0 to 1.
+    name : {"auto", "full", "half"}. "auto" takes half the size where rings on
+        open water blur what it mirrors by HALF_BLUR.
+    rate : float [m/s]. Of the rain.
+    surface_film : float. How far a film of dirt calms the rings, 0 to 1.
     lens : array_like of shape (4,) [px]
     """
     if name != "auto":
@@ -52,20 +48,12 @@ def merged_cells(merge, step):
 def group_levels(height, name):
     """Share out water pixels between mirrors.
 
-    Parameters
-    ----------
-    height : ndarray of shape (n,), float32 [m]
-        Of the water in each pixel.
-    name : str
-        A name of reflections: "mirror" takes one mirror for all, "auto" one for each level at
-        which much of the water stands, others none.
-
-    Returns
-    -------
-    mirrors : list of (float [m], ndarray of int64)
-        Level of each mirror and the pixels that it serves.
-    others : ndarray of int64
-        Pixels that no mirror serves.
+    height : float32 array (n,) [m]. Of the water in each pixel.
+    name : str. A name of reflections: "mirror" takes one mirror for all, "auto"
+        one for each level at which much of the water stands, others none.
+    Returns mirrors : list of (float [m], ndarray of int64). Level of each mirror
+        and the pixels that it serves.
+        others : int64 array. Pixels that no mirror serves.
     """
     everything = np.arange(len(height))
     if name not in ("mirror", "auto") or not len(height):
@@ -85,16 +73,10 @@ def group_levels(height, name):
 def mirror_levels(count, most):
     """Choose levels at which much of the water stands.
 
-    Parameters
-    ----------
-    count : ndarray of shape (n,), int64
-        Pixels of each step of height.
+    count : int64 array (n,). Pixels of each step of height.
     most : int
-
-    Yields
-    ------
-    first, middle : int
-        The first of the LEVEL_STEPS steps that a mirror serves, and that of its level.
+    Yields first, middle : int. The first of the LEVEL_STEPS steps that a mirror
+        serves, and that of its level.
     """
     count, total = count.copy(), count.sum()
     for _ in range(most):

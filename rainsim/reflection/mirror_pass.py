@@ -73,18 +73,15 @@ NUMBERS = 26 * CHUNK
 def mirror_light(which, record, view: View, mirror: MirrorPicture, light_out, source_out):
     """Find the mirrored light of listed water in the picture that a mirrored camera took.
 
-    Parameters
-    ----------
-    which : ndarray of shape (k,), int64
-        Records that this mirror serves.
-    record : ndarray of shape (n, RECORD), float32
-    view : View
-        Of the mirrored camera; its picture may be a part of the whole one.
+    which : int64 array (k,). Records that this mirror serves.
+    record : float32 array (n, RECORD)
+    view : View. Of the mirrored camera; its picture may be a part of the whole
+        one.
     mirror : MirrorPicture
-    light_out : ndarray of shape (n, 3), float32
-        Radiance that comes to the surface, before it is multiplied by the reflectance.
-    source_out : ndarray of shape (n,), uint8
-        MIRROR, or ENVIRONMENT where level water mirrors the sky.
+    light_out : float32 array (n, 3). Radiance that comes to the surface, before
+        it is multiplied by the reflectance.
+    source_out : uint8 array (n,). MIRROR, or ENVIRONMENT where level water
+        mirrors the sky.
     """
     count = len(which)
     # Taken out of the bundle here: in the loop numba would count references at each use.

@@ -53,10 +53,7 @@ def sample_blur(view, water):
     and a solid angle w covers fx fy w / g^3 of the picture, g the cosine of the ray's angle to the
     view axis.
 
-    Parameters
-    ----------
-    view : View
-        Of the mirrored camera.
+    view : View. Of the mirrored camera.
     water : WaterPixel
     """
     ux, uy, uz = normal_of(water.slope_x, water.slope_y)

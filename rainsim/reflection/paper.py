@@ -152,10 +152,7 @@ def march_points(depth, view, start, direction, settings):
 
     Arguments as in `rainsim.ssr.march`; steps of one pixel.
 
-    Returns
-    -------
-    row, column : int
-        Negative if nothing was met within the picture.
+    Returns row, column : int. Negative if nothing was met within the picture.
     """
     height, width = depth.shape
     x, y, z = start

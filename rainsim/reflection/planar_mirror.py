@@ -43,10 +43,8 @@ class MirrorPicture(NamedTuple):
 def mirrored_light(view, mirror, water):
     """Return the radiance (r, g, b) that a pixel of water mirrors, by a mirrored picture.
 
-    Parameters
-    ----------
-    view : View
-        Of the mirrored camera, its lens that of the picture: it may show a part of the frame.
+    view : View. Of the mirrored camera, its lens that of the picture: it may show
+        a part of the frame.
     mirror : MirrorPicture
     water : WaterPixel
     """

@@ -26,19 +26,10 @@ def block_shape(shape):
 def puddle_rings(depth, mirrors, reach):
     """Return the amplitude of rings in each block over that in a usual puddle, at most 1.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (ny, nx), float32 [m]
-        Of the water.
-    mirrors : ndarray of shape (ny, nx), bool
-        See `water_surface`.
-    reach : ndarray of shape (2 n + 1, 2 n + 1), float32
-        See `ripples.block_reach`.
-
-    Returns
-    -------
-    ndarray of shape (rows, columns), float32
-        Of blocks of BLOCK x BLOCK cells.
+    depth : float32 array (ny, nx) [m]. Of the water.
+    mirrors : bool array (ny, nx). See `water_surface`.
+    reach : float32 array (2 n + 1, 2 n + 1). See `ripples.block_reach`.
+    Returns float32 array (rows, columns). Of blocks of BLOCK x BLOCK cells.
     """
     shape = block_shape(depth.shape)
     wet, rings = np.empty(shape, np.float32), np.empty(shape, np.float32)

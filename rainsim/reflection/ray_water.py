@@ -35,24 +35,18 @@ def meet_water(
 ):  # fmt: skip
     """Find where each pixel's ray meets the water surface, and how much of the pixel it covers.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [m]
-        Of the wet picture, along the view axis.
-    view : View
-    water_map : WaterMap
-    highest : float32 [m]
-        Height of the highest water: pixels that show something higher are dry.
-    row_order : ndarray of shape (height,), int64
-        Order in which rows are taken, see `jit.interleaved`.
-    cover : ndarray of shape (2,), float32 [m]
-        Water depth where coverage begins and is full.
-    hit_out : ndarray of shape (height, width), float32 [m]
-        Depth of the water along the view axis; only where it covers.
-    coverage_out : ndarray of shape (height, width), float32
-        Share of the pixel that is water.
-    count_out : ndarray of shape (height,), int64
-        Covered pixels of each row.
+    depth : float32 array (height, width) [m]. Of the wet picture, along the view
+        axis.
+    highest : float32 [m]. Height of the highest water: pixels that show something
+        higher are dry.
+    row_order : int64 array (height,). Order in which rows are taken, see
+        `jit.interleaved`.
+    cover : float32 array (2,) [m]. Water depth where coverage begins and is full.
+    hit_out : float32 array (height, width) [m]. Depth of the water along the view
+        axis; only where it covers.
+    coverage_out : float32 array (height, width). Share of the pixel that is
+        water.
+    count_out : int64 array (height,). Covered pixels of each row.
     """
     height = len(depth)
     for k in prange(height):

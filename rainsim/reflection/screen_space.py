@@ -49,18 +49,13 @@ def surface_in_camera(view, water):
 def screen_light(view, picture, depth, environment, thickness, water, distance):
     """Return the radiance (r, g, b) that a pixel of water mirrors, and the picture's share of it.
 
-    Parameters
-    ----------
-    view : View
-    picture : ndarray of shape (height, width, 3), float32
-    depth : ndarray of shape (height, width), float32 [m]
-        Of what can be mirrored, see `keep_tall`.
-    environment : ndarray of shape (rows, columns, 3), float32
-    thickness : float32 [m]
-        How far behind its depth a surface still stops a ray.
+    picture : float32 array (height, width, 3)
+    depth : float32 array (height, width) [m]. Of what can be mirrored, see
+        `keep_tall`.
+    environment : float32 array (rows, columns, 3)
+    thickness : float32 [m]. How far behind its depth a surface still stops a ray.
     water : WaterPixel
-    distance : float32 [m]
-        As `level_hit` returns it.
+    distance : float32 [m]. As `level_hit` returns it.
     """
     start = surface_in_camera(view, water)
     samples, a, b, c = slope_samples(water)
@@ -145,22 +140,16 @@ def march_light(
 ):  # fmt: skip
     """Find the mirrored light of listed water by a march through the picture's own depth.
 
-    Parameters
-    ----------
-    which : ndarray of shape (k,), int64
-        Records that are marched.
-    record : ndarray of shape (n, RECORD), float32
-    picture : ndarray of shape (height, width, 3), float32
-    blocks : DepthBlocks
-        Of the depth that `keep_tall` keeps.
-    view : View
-    environment : ndarray of shape (rows, columns, 3), float32
-        Mirrored where the picture shows nothing.
+    which : int64 array (k,). Records that are marched.
+    record : float32 array (n, RECORD)
+    picture : float32 array (height, width, 3)
+    blocks : DepthBlocks. Of the depth that `keep_tall` keeps.
+    environment : float32 array (rows, columns, 3). Mirrored where the picture
+        shows nothing.
     settings : MarchSettings
-    light_out : ndarray of shape (n, 3), float32
-        Radiance that comes to the surface, before it is multiplied by the reflectance.
-    source_out : ndarray of shape (n,), uint8
-        SCREEN or ENVIRONMENT.
+    light_out : float32 array (n, 3). Radiance that comes to the surface, before
+        it is multiplied by the reflectance.
+    source_out : uint8 array (n,). SCREEN or ENVIRONMENT.
     """
     for k in prange(len(which)):
         n = which[k]
@@ -187,12 +176,10 @@ def environment_light(which, record, environment, light_out, source_out):
 def keep_tall(depth, clearance, tall_out):
     """Keep the depth of all but the ground, which level water on it cannot mirror.
 
-    Parameters
-    ----------
-    depth, clearance : ndarray of shape (height, width), float32 [m]
-        Depth along the view axis, height above the ground.
-    tall_out : ndarray of shape (height, width), float32 [m]
-        The depth; infinite for the ground.
+    depth, clearance : float32 array (height, width) [m]. Depth along the view
+        axis, height above the ground.
+    tall_out : float32 array (height, width) [m]. The depth; infinite for the
+        ground.
     """
     height, width = depth.shape
     for row in prange(height):

@@ -85,11 +85,9 @@ def _lay(slopes, height, moments_out):
 def ripple_moments(slopes):
     """Return the moments of a tile of slopes (2, n, n) at all resolutions.
 
-    Returns
-    -------
-    ndarray of shape (n, n + n // 2, MOMENTS), float32
-        Full resolution in the first n columns; half of that in the first n / 2 rows of the others,
-        a quarter below it, and so on for as long as the number of cells can be halved.
+    Returns float32 array (n, n + n // 2, MOMENTS). Full resolution in the first n
+        columns; half of that in the first n / 2 rows of the others, a quarter
+        below it, and so on for as long as the number of cells can be halved.
     """
     slopes = np.ascontiguousarray(slopes, dtype=np.float32)
     n = slopes.shape[1]
@@ -125,23 +123,14 @@ def tile_height(moments, size, x, y, width):
 def pixel_slopes(moments, size, x, y, vx, vy, vz, width):
     """Return mean and covariance of the ripples' slopes over a pixel's footprint on level water.
 
-    Parameters
-    ----------
-    moments : ndarray of shape (n, n + n // 2, MOMENTS), float32
-        Of a periodic tile, see `ripple_moments`.
-    size : float32 [m]
-        Of the tile.
-    x, y : float32 [m]
-        Where the middle of the pixel meets the water.
-    vx, vy, vz : float32
-        Unit view direction, downward.
-    width : float32 [m]
-        Of the pixel there, across the view.
-
-    Returns
-    -------
-    a, b, aa, bb, ab : float32
-        Mean slopes along x and y, their variances and their covariance.
+    moments : float32 array (n, n + n // 2, MOMENTS). Of a periodic tile, see
+        `ripple_moments`.
+    size : float32 [m]. Of the tile.
+    x, y : float32 [m]. Where the middle of the pixel meets the water.
+    vx, vy, vz : float32. Unit view direction, downward.
+    width : float32 [m]. Of the pixel there, across the view.
+    Returns a, b, aa, bb, ab : float32. Mean slopes along x and y, their variances
+        and their covariance.
     """
     n = moments.shape[0]
     slant = min(ONE / max(-vz, np.float32(1e-3)), MOST_SLANT)

@@ -45,18 +45,13 @@ GLINT_VARIANCE = 0.0023**2 / 4 + 0.001**2
 class WetPicture:
     """A wet picture without water, its depth and clearance, and the view it was taken from.
 
-    Attributes
-    ----------
-    picture : ndarray of shape (height, width, 3), float32
-        Linear light.
-    depth : ndarray of shape (height, width), float32 [m]
-        Along the view axis; infinite for sky.
-    clearance : ndarray of shape (height, width), float32 [m]
-        Height above the ground.
-    view : View
-        Pose in the ground frame.
-    below : ndarray of shape (height, width, 3), float32
-        The picture without what a water film on the ground mirrors: what shows through water.
+    picture : float32 array (height, width, 3). Linear light.
+    depth : float32 array (height, width) [m]. Along the view axis; infinite for
+        sky.
+    clearance : float32 array (height, width) [m]. Height above the ground.
+    view : View. Pose in the ground frame.
+    below : float32 array (height, width, 3). The picture without what a water
+        film on the ground mirrors: what shows through water.
     """
 
     picture: np.ndarray
@@ -74,23 +69,14 @@ class WetPicture:
 class WaterTables:
     """What pictures of the water need of a ground, whatever the camera and the time.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    ring_reach : tuple of ndarray
-        Reach and weight of rings, see `ripples.ring_reach`.
-
-    Attributes
-    ----------
-    block_reach : ndarray
-        See `ripples.block_reach`, of blocks of the map's cells.
-    relief : ndarray of shape (ny, nx), float32 [m]
-        See `water_surface.fine_relief`.
-    mirrors : ndarray of shape (ny, nx), bool
-        Of the terrain, looked up once.
+    ring_reach : tuple of ndarray. Reach and weight of rings, see
+        `ripples.ring_reach`.
+    block_reach : ndarray. See `ripples.block_reach`, of blocks of the map's
+        cells.
+    relief : float32 array (ny, nx) [m]. See `water_surface.fine_relief`.
+    mirrors : bool array (ny, nx). Of the terrain, looked up once.
     top_water : TopWater
-    tops : TopMaps
-        Dry.
+    tops : TopMaps. Dry.
     """
 
     def __init__(self, terrain, ring_reach):
@@ -121,11 +107,9 @@ class WaterTables:
 class DrawnWater(NamedTuple):
     """The water's surface as it is drawn.
 
-    Attributes
-    ----------
     map : WaterMap
-    highest : float32 [m] or None
-        Of the surface where there is water; None if there is none.
+    highest : float32 [m] or None. Of the surface where there is water; None if
+        there is none.
     """
 
     map: WaterMap
@@ -136,22 +120,16 @@ class DrawnWater(NamedTuple):
 class SeenWater:
     """The water that a picture shows, a record for each of its pixels.
 
-    Attributes
-    ----------
-    pixel : ndarray of shape (n,), int32
-        In the flattened picture.
-    record : ndarray of shape (n, RECORD), float32
-        See `water_record`.
-    top : ndarray of shape (n,), int16
-        That each record lies on, -1 for the ground.
-    coverage : ndarray of shape (height, width), float32
-        Share of each pixel that is water.
-    light : ndarray of shape (n, 3), float32
-        What each record mirrors, before it is multiplied by the reflectance.
-    source : ndarray of shape (n,), uint8
-        Where that light was found: a code of `mirrored_rays`.
-    groups : dict of str to tuple
-        How each method of reflection shares the records out, see `shared_out`.
+    pixel : int32 array (n,). In the flattened picture.
+    record : float32 array (n, RECORD). See `water_record`.
+    top : int16 array (n,). That each record lies on, -1 for the ground.
+    coverage : float32 array (height, width). Share of each pixel that is water.
+    light : float32 array (n, 3). What each record mirrors, before it is
+        multiplied by the reflectance.
+    source : uint8 array (n,). Where that light was found: a code of
+        `mirrored_rays`.
+    groups : dict of str to tuple. How each method of reflection shares the
+        records out, see `shared_out`.
     """
 
     pixel: np.ndarray
@@ -169,11 +147,8 @@ class SeenWater:
 class March(NamedTuple):
     """Steps of the march on the screen.
 
-    Attributes
-    ----------
     thickness : float [m]
-    stride : float
-        Of the width, a step.
+    stride : float. Of the width, a step.
     """
 
     thickness: float = REFLECTION_THICKNESS
@@ -199,17 +174,11 @@ def draw_surface(tables, depth, rings):
 def find_water(config, depth, view, drawn, tops, off_ground):
     """Return the `SeenWater` of a picture; slopes and light are filled in later.
 
-    Parameters
-    ----------
-    config : RenderConfig
-        Names the methods.
-    depth : ndarray of shape (height, width), float32 [m]
-        Of the picture without water.
-    view : View
+    config : RenderConfig. Names the methods.
+    depth : float32 array (height, width) [m]. Of the picture without water.
     drawn : DrawnWater
     tops : TopMaps
-    off_ground : OffGroundWetness
-        What wets the tops.
+    off_ground : OffGroundWetness. What wets the tops.
     """
     height = len(depth)
     hit, count = np.empty(depth.shape, np.float32), np.zeros(height, np.int64)
@@ -248,23 +217,14 @@ def _listed(view, water, tops, hit, coverage, count):
 def shared_out(seen, name, tops, view):
     """Return how a method shares the records out: to mirrors, the march, and the surroundings.
 
-    Parameters
-    ----------
     seen : SeenWater
-    name : str
-        Of reflections.
+    name : str. Of reflections.
     tops : TopMaps
-    view : View
-
-    Returns
-    -------
-    mirrors : list of (place, which)
-        A place is the level [m] of a mirror and the window of its picture, see `mirror_window`.
-    others : ndarray of int64
-        Records that are marched.
-    surrounded : ndarray of int64
-        Records that mirror the surroundings alone: on tops that slope, or that are not at the level
-        of the only mirror.
+    Returns mirrors : list of (place, which). A place is the level [m] of a mirror
+        and the window of its picture, see `mirror_window`.
+        others : int64 array. Records that are marched.
+        surrounded : int64 array. Records that mirror the surroundings alone: on
+            tops that slope, or that are not at the level of the only mirror.
     """
     if name not in seen.groups:
         mirrors, *others = _grouped(seen, name, tops)
@@ -301,12 +261,8 @@ def mirror_window(pixel, shape, lens):
 
     It reaches beyond the picture where ripples look there.
 
-    Parameters
-    ----------
-    pixel : ndarray of shape (n,), int
-        In the flattened picture.
-    shape : tuple of int
-        Height and width of the picture [px].
+    pixel : int array (n,). In the flattened picture.
+    shape : tuple of int. Height and width of the picture [px].
     lens : array_like of shape (4,) [px]
     """
     height, width = shape
@@ -333,20 +289,16 @@ def tilt(seen, slopes, size, tops):
 def light_up(seen, name, wet, tops, mirrors, surroundings, tall=None, march=None):
     """Fill in the mirrored light of every record.
 
-    Parameters
-    ----------
     seen : SeenWater
-    name : str
-        Of reflections.
+    name : str. Of reflections.
     wet : WetPicture
     tops : TopMaps
-    mirrors : callable
-        mirrors(place) returns the View and the `planar_mirror.MirrorPicture` of a mirror, for each
-        place of `shared_out`.
-    surroundings : tuple of ndarray of shape (rows, columns, 3), float32
-        The environment that marched rays end in, and the blurred one that sloping tops mirror.
-    tall : callable, optional
-        tall() returns the `ssr.DepthBlocks` to march; without it they are made.
+    mirrors : callable. mirrors(place) returns the View and the
+        `planar_mirror.MirrorPicture` of a mirror, for each place of `shared_out`.
+    surroundings : tuple of float32 array (rows, columns, 3). The environment that
+        marched rays end in, and the blurred one that sloping tops mirror.
+    tall : callable, optional. tall() returns the `ssr.DepthBlocks` to march;
+        without it they are made.
     march : March, optional
     """
     march = march or March()
@@ -390,14 +342,10 @@ def optics_of(config, sun):
 def terms(seen, config, wet, sun):
     """Return the terms that the water of a picture is put together from.
 
-    Returns
-    -------
-    through : ndarray of shape (n, 3), float32
-        Radiance from below, before it is multiplied by 1 - reflectance.
-    share : ndarray of shape (n,), float32
-        Reflectance.
-    glint : ndarray of shape (n, 3), float32
-        The sun's glint as it is added.
+    Returns through : float32 array (n, 3). Radiance from below, before it is
+        multiplied by 1 - reflectance.
+        share : float32 array (n,). Reflectance.
+        glint : float32 array (n, 3). The sun's glint as it is added.
     """
     n = len(seen)
     through, glint = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)

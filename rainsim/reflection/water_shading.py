@@ -192,15 +192,10 @@ def shade_water_pixel(water, row, column, light, background, view, optics):
 
     dry * (1 - coverage) + coverage * ((1 - F) refracted + F mirrored + glint), F the reflectance.
 
-    Parameters
-    ----------
     water : WaterPixel
     row, column : int
-    light : tuple of three float32
-        Radiance that comes to the surface from where the pixel mirrors.
-    background : Background
-    view : View
-    optics : Optics
+    light : tuple of three float32. Radiance that comes to the surface from where
+        the pixel mirrors.
     """
     r, g, b, share, glint = water_terms(water, row, column, background, view, optics)
     sun, picture = optics.sun, background.picture
@@ -310,20 +305,15 @@ def list_water(
 ):  # fmt: skip
     """Write the record of each pixel that water covers, row by row; its slopes are zero.
 
-    Parameters
-    ----------
-    hit, coverage : ndarray of shape (height, width), float32 [m], [1]
-        As `ray_water.meet_water` writes them.
-    first : ndarray of shape (height,), int64
-        Place of each row's first record.
-    row_order : ndarray of shape (height,), int64
-        Order in which rows are taken, see `jit.interleaved`.
-    view : View
-    water_map : WaterMap
+    hit, coverage : float32 array (height, width) [m], [1]. As
+        `ray_water.meet_water` writes them.
+    first : int64 array (height,). Place of each row's first record.
+    row_order : int64 array (height,). Order in which rows are taken, see
+        `jit.interleaved`.
     tops : TopMaps
-    pixel_out : ndarray of shape (n,), int32
-        Number of each record's pixel, row * width + column.
-    record_out : ndarray of shape (n, RECORD), float32
+    pixel_out : int32 array (n,). Number of each record's pixel, row * width +
+        column.
+    record_out : float32 array (n, RECORD)
     """
     height, width = coverage.shape
     for k in prange(height):
@@ -352,17 +342,12 @@ def lay_water(
 ):
     """Write the water into the picture: reflection, refraction and the sun's glint.
 
-    Parameters
-    ----------
-    pixel : ndarray of shape (n,), int32
-    record : ndarray of shape (n, RECORD), float32
-    light : ndarray of shape (n, 3), float32
-        Radiance that each record mirrors, before it is multiplied by the reflectance.
-    background : Background
-    view : View
-    optics : Optics
-    picture_out : ndarray of shape (height, width, 3), float32
-        Only the listed pixels are written.
+    pixel : int32 array (n,)
+    record : float32 array (n, RECORD)
+    light : float32 array (n, 3). Radiance that each record mirrors, before it is
+        multiplied by the reflectance.
+    picture_out : float32 array (height, width, 3). Only the listed pixels are
+        written.
     """
     width = background.depth.shape[1]
     for n in prange(len(pixel)):
@@ -383,14 +368,10 @@ def separate_water(
 ):  # fmt: skip
     """Write the terms that `lay_water` adds up, apart; for arbitrary output variables.
 
-    Parameters
-    ----------
-    through_out : ndarray of shape (n, 3), float32
-        Radiance from below the water, before it is multiplied by 1 - reflectance.
-    share_out : ndarray of shape (n,), float32
-        Reflectance.
-    glint_out : ndarray of shape (n, 3), float32
-        The sun's glint as it is added.
+    through_out : float32 array (n, 3). Radiance from below the water, before it
+        is multiplied by 1 - reflectance.
+    share_out : float32 array (n,). Reflectance.
+    glint_out : float32 array (n, 3). The sun's glint as it is added.
     """
     width = background.depth.shape[1]
     for n in prange(len(pixel)):

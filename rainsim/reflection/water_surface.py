@@ -79,21 +79,14 @@ def water_surface(terrain, depth, relief, mirrors):
     cells around, and the height of the nearest water where none is near, so that view rays can be
     followed to it. Grass that stands out of the water hides it.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    depth : ndarray of shape (ny, nx), float32 [m]
-    relief : ndarray of shape (ny, nx), float32 [m]
-        See `fine_relief`.
-    mirrors : ndarray of shape (ny, nx), bool
-        Cells on which even a thin film of water shows as a surface: no grass stands out of it.
-
-    Returns
-    -------
-    surface, over : ndarray of shape (ny, nx), float32 [m]
-        Height of the surface in the ground frame, and the depth of water that pictures show.
-    highest : float32 [m] or None
-        Of the surface where there is water; None if there is none.
+    depth : float32 array (ny, nx) [m]
+    relief : float32 array (ny, nx) [m]. See `fine_relief`.
+    mirrors : bool array (ny, nx). Cells on which even a thin film of water shows
+        as a surface: no grass stands out of it.
+    Returns surface, over : float32 array (ny, nx) [m]. Height of the surface in
+        the ground frame, and the depth of water that pictures show.
+        highest : float32 [m] or None. Of the surface where there is water; None
+            if there is none.
     """
     depth = np.asarray(depth, np.float32)
     far = _far_surface(terrain.bed, depth, mirrors)
@@ -149,21 +142,19 @@ def _continue(bed, depth, mirrors, relief, wide, narrow, far, surface_out, over_
     Surface and depth are Gaussian means, taken along rows first, then along columns. Most of a map
     is dry: each row is cut into spans of SPAN cells, and those without water near take no means.
 
-    Parameters
-    ----------
-    bed, depth : ndarray of shape (ny, nx), float32 [m]
-    mirrors : ndarray of shape (ny, nx), bool
-    relief : ndarray of shape (ny, nx), float32 [m]
-        Height above the bed from which the water's depth counts; on grass from its tips on.
-    wide, narrow : ndarray of shape (13,) and (7,), float32
-        Weights of the Gaussians that smooth the surface and the depth.
-    far : ndarray of shape (ceil(ny / BLOCK), ceil(nx / BLOCK)), float32 [m]
+    bed, depth : float32 array (ny, nx) [m]
+    mirrors : bool array (ny, nx)
+    relief : float32 array (ny, nx) [m]. Height above the bed from which the
+        water's depth counts; on grass from its tips on.
+    wide, narrow : array (13,) and (7,), float32. Weights of the Gaussians that
+        smooth the surface and the depth.
+    far : ndarray of shape (ceil(ny / BLOCK), ceil(nx / BLOCK)), float32 [m].
         Height of the surface where no water is near, see `_far_surface`.
-    surface_out, over_out : ndarray of shape (ny, nx), float32 [m]
-        Height of the surface in the ground frame; its smoothed height above bed and relief, the
-        water's depth, 0 away from water.
-    highest_out : ndarray of shape (ny,), float32 [m]
-        Of the surface in each row where there is water; -inf where there is none.
+    surface_out, over_out : float32 array (ny, nx) [m]. Height of the surface in
+        the ground frame; its smoothed height above bed and relief, the water's
+        depth, 0 away from water.
+    highest_out : float32 array (ny,) [m]. Of the surface in each row where there
+        is water; -inf where there is none.
     """
     ny, nx = bed.shape
     spans = -(-nx // SPAN)

@@ -65,9 +65,6 @@ class TopMaps(NamedTuple):
 def top_maps(terrain, water):
     """Return the `TopMaps` of a terrain and its `TopWater`, dry.
 
-    Parameters
-    ----------
-    terrain : Terrain
     water : TopWater
     """
     tops, (low, high) = terrain.tops, height_range(terrain.tops)
@@ -87,10 +84,8 @@ def top_maps(terrain, water):
 def drawn_film(holds):
     """Return the share of a water film that is drawn where it may stand, (rows, columns) float32.
 
-    Parameters
-    ----------
-    holds : ndarray of shape (rows, columns), bool
-        Of `terrain.types.Tops`: a mask whose edges would show its cells.
+    holds : bool array (rows, columns). Of `terrain.types.Tops`: a mask whose
+        edges would show its cells.
     """
     mean = ndimage.gaussian_filter(holds.astype(np.float32), ROUNDED)
     part = np.clip((mean - np.float32(ENDS)) / np.float32(WHOLE - ENDS), 0, 1)
@@ -117,11 +112,8 @@ def height_range(tops):
 def top_numbers(water, volume, sheet):
     """Return `TopMaps.water` of the volume [m3] on each top (n,) and the flowing sheet's depth [m].
 
-    Parameters
-    ----------
     water : TopWater
-    volume : ndarray of shape (n,) [m3]
-        None known: of another length.
+    volume : array (n,) [m3]. None known: of another length.
     sheet : float [m]
     """
     count = len(water.tops)
@@ -202,21 +194,13 @@ def film_on(rain):
 def wet_top(view, tops, rain, depth, row, column):
     """Return where a pixel's ray meets a wet top, and the share of the pixel that is wet.
 
-    Parameters
-    ----------
-    view : View
     tops : TopMaps
     rain : OffGroundWetness
-    depth : float32 [m]
-        Of what the pixel shows, along the view axis.
+    depth : float32 [m]. Of what the pixel shows, along the view axis.
     row, column : int
-
-    Returns
-    -------
-    hit : float32 [m]
-        Along the view axis; negative on a top that slopes, into which no planar mirror looks.
-    coverage : float32
-        0 if the pixel shows no wet top.
+    Returns hit : float32 [m]. Along the view axis; negative on a top that slopes,
+        into which no planar mirror looks.
+        coverage : float32. 0 if the pixel shows no wet top.
     """
     x, y, z = pixel_ray(view, row, column)
     eye = view.eye
@@ -315,15 +299,12 @@ def meet_tops(
 ):  # fmt: skip
     """Add the wet tops to the hits that `ray_water.meet_water` found, whose water hides them.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [m]
-    view : View
+    depth : float32 array (height, width) [m]
     tops : TopMaps
     rain : OffGroundWetness
-    row_order : ndarray of shape (height,), int64
-    hit_out, coverage_out, count_out : ndarray
-        As `meet_water` wrote them; see `wet_top` for the hit.
+    row_order : int64 array (height,)
+    hit_out, coverage_out, count_out : ndarray. As `meet_water` wrote them; see
+        `wet_top` for the hit.
     """
     height, width = depth.shape
     m, up, low, high = view.ground_from_camera, view.eye[2], tops.low, tops.high

@@ -18,14 +18,11 @@ EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i &
 class ActorsSeen(NamedTuple):
     """The actors of a frame.
 
-    Attributes
-    ----------
     actors : sequence of Actor
-    time, interval : float [s]
-        Of the frame, and to the next one.
+    time, interval : float [s]. Of the frame, and to the next one.
     frame : GroundFrame
-    number : ndarray of shape (height, width), uint16
-        Of the actor that each pixel shows, from 1 on in the order of `actors`; 0 for none.
+    number : uint16 array (height, width). Of the actor that each pixel shows,
+        from 1 on in the order of `actors`; 0 for none.
     """
 
     actors: tuple
@@ -46,15 +43,10 @@ class ActorsSeen(NamedTuple):
 def moves_of(actors):
     """Return how the actors that are there move until the next frame.
 
-    Parameters
-    ----------
     actors : ActorsSeen
-
-    Returns
-    -------
-    dict of int to ndarray of shape (4, 4), float64
-        By the actor's number: takes ground points [m] on the actor to where they are then. An actor
-        that is gone then goes on as it did.
+    Returns dict of int to float64 array (4, 4). By the actor's number: takes
+        ground points [m] on the actor to where they are then. An actor that is
+        gone then goes on as it did.
     """
     return {
         number: motion.step(actors.time, actors.interval) for number, motion, _ in actors.present()
@@ -64,19 +56,13 @@ def moves_of(actors):
 def facts_of_actors(actors, camera):
     """Return the labels of each actor that is present in a frame, a list of plain values.
 
-    Parameters
-    ----------
     actors : ActorsSeen
-    camera : Camera
-        In the ground frame.
-
-    Returns
-    -------
-    list of dict
-        `number` in the layer `actor_id`, `track` and `class`; `box3d`, see `box_in_space`;
-        `box2d`, the corners' box in the picture, (left, top, right, bottom) [px], cut at its edges,
-        None if it lies beside the picture or behind the camera; `box2d_seen`, the box of the pixels
-        that show the actor, None if none does, and their number, `pixels`.
+    camera : Camera. In the ground frame.
+    Returns list of dict. `number` in the layer `actor_id`, `track` and `class`;
+        `box3d`, see `box_in_space`; `box2d`, the corners' box in the picture,
+        (left, top, right, bottom) [px], cut at its edges, None if it lies beside
+        the picture or behind the camera; `box2d_seen`, the box of the pixels that
+        show the actor, None if none does, and their number, `pixels`.
     """
     seen = {box["id"]: box for box in boxes_of(actors.number)}
     facts = []
@@ -113,17 +99,10 @@ def box_in_space(motion, time, interval):
 def box_in_picture(corners, camera):
     """Return the box of eight corners (ground frame) in a camera's picture, cut at its edges.
 
-    Parameters
-    ----------
-    corners : ndarray of shape (8, 3) [m]
-        In the order of `Actor.corners`; what lies behind the camera is cut off.
-    camera : Camera
-        In the ground frame.
-
-    Returns
-    -------
-    list of float or None
-        Left, top, right and bottom [px].
+    corners : array (8, 3) [m]. In the order of `Actor.corners`; what lies behind
+        the camera is cut off.
+    camera : Camera. In the ground frame.
+    Returns list of float or None. Left, top, right and bottom [px].
     """
     points = camera_points(camera, corners)
     ends = points[EDGES]

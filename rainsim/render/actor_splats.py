@@ -14,24 +14,17 @@ from rainsim.splatting.merged import Merger
 class ActorSplats:
     """The moving splats of a scene, one moment after another.
 
-    Parameters
-    ----------
     actors : sequence of Actor
-    static : PreparedSplats
-        Of the scene without them.
-
-    Attributes
-    ----------
-    poses : list of Pose or None
-        Of each actor at the present time; None while it is not there. Empty before the first time.
-    rigid : bool
-        Whether none has colours that change over time.
-    placed : float [s] or None
-        The time for which they were put there: they may stand still since.
-    static : PreparedSplats
-        As it was given, in memory that is shared with the merged sets.
-    first : int
-        Number that the first of the actors' splats has in the merged set.
+    static : PreparedSplats. Of the scene without them.
+    poses : list of Pose or None. Of each actor at the present time; None while it
+        is not there. Empty before the first time.
+    rigid : bool. Whether none has colours that change over time.
+    placed : float [s] or None. The time for which they were put there: they may
+        stand still since.
+    static : PreparedSplats. As it was given, in memory that is shared with the
+        merged sets.
+    first : int. Number that the first of the actors' splats has in the merged
+        set.
     """
 
     def __init__(self, actors, static):
@@ -96,14 +89,8 @@ class ActorSplats:
     def numbers(self, hit):
         """Return the number of the actor that each pixel shows, from 1 on, 0 for the static set.
 
-        Parameters
-        ----------
-        hit : ndarray of shape (height, width), int32
-            See `raster.Layers`, of the merged set.
-
-        Returns
-        -------
-        ndarray of shape (height, width), uint16
+        hit : int32 array (height, width). See `raster.Layers`, of the merged set.
+        Returns uint16 array (height, width)
         """
         found = np.searchsorted(self._ends[1:], hit - self.first, side="right") + 1
         return np.where(hit >= self.first, found, 0).astype(np.uint16)

@@ -20,15 +20,13 @@ PICTURE, SHARE, INDEX, DATA = "picture", "share", "index", "data"  # kinds, see 
 class Aov:
     """Description of an arbitrary output variable (AOV).
 
-    Attributes
-    ----------
-    kind : str
-        PICTURE: display-referred, 8-bit PNG. SHARE: 0 to 1, 16-bit PNG. INDEX: whole numbers,
-        16-bit PNG. DATA: float32, OpenEXR with the extra `exr`, else .npz.
+    kind : str. PICTURE: display-referred, 8-bit PNG. SHARE: 0 to 1, 16-bit PNG.
+        INDEX: whole numbers, 16-bit PNG. DATA: float32, OpenEXR with the extra
+        `exr`, else .npz.
     unit : str
     what : str
-    channels : tuple of str
-        Their names in a file of DATA, as OpenEXR users expect them.
+    channels : tuple of str. Their names in a file of DATA, as OpenEXR users
+        expect them.
     """
 
     kind: str
@@ -91,10 +89,7 @@ NEEDED = ("wet", "coverage", "reflection", "refraction", "fresnel", "highlight",
 def parse_names(text):
     """Return the AOVs that a text names: all, or names with commas between them.
 
-    Raises
-    ------
-    ParameterError
-        If a name is not known.
+    Raises ParameterError if a name is not known.
     """
     if text is None:
         return ()
@@ -154,17 +149,11 @@ def recompose(aovs, drop, around, air, brightness):
 def spread_field(drop, height, width, rows=slice(None)):
     """Interpolate the radiance of drops from a few places of the picture to its pixels.
 
-    Parameters
-    ----------
-    drop : array_like of shape (rows, columns, 3) or (3,)
-        At places from edge to edge, see `falling_light`; (3,) is even over the picture.
+    drop : array_like of shape (rows, columns, 3) or (3,). At places from edge to
+        edge, see `falling_light`; (3,) is even over the picture.
     height, width : int [px]
-    rows : slice
-        The rows of the picture that are wanted.
-
-    Returns
-    -------
-    ndarray of shape (rows, width, 3) or (3,), float64
+    rows : slice. The rows of the picture that are wanted.
+    Returns array (rows, width, 3) or (3,), float64
     """
     drop = np.asarray(drop, np.float64)
     if drop.ndim == 1:

@@ -52,12 +52,10 @@ RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
 class GroundTables(NamedTuple):
     """The map of the ground that carries the water, as passes take it.
 
-    Attributes
-    ----------
     terrain : Terrain
     moving : MovingSurfaces
-    ring_share, rings : ndarray of shape (ny, nx), float32
-        See the function and, of it, `taller_rings`; what moves shelters some of them.
+    ring_share, rings : float32 array (ny, nx). See the function and, of it,
+        `taller_rings`; what moves shelters some of them.
     water : WaterTables
     film : WetGroundMirror
     """
@@ -73,35 +71,25 @@ class GroundTables(NamedTuple):
 class Conductor:
     """Puts the inputs of one frame after another, of one scene, terrain and configuration.
 
-    Parameters
-    ----------
-    scene, terrain, config, first_camera
-        As `rainsim.render.renderer.Renderer` takes them.
-    rasterizer_of : callable
-        rasterizer_of(prepared) returns what draws prepared splats.
-
-    Attributes
-    ----------
+    scene, terrain, config, first_camera. As `rainsim.render.renderer.Renderer`
+        takes them.
+    rasterizer_of : callable. rasterizer_of(prepared) returns what draws prepared
+        splats.
     frame : Frame
     wet_scene : WetScene
     ground : GroundTables
-    methods : RenderConfig
-        Names how water and film are drawn.
+    methods : RenderConfig. Names how water and film are drawn.
     weather : Weather
-    now : Config
-        Of the present time.
-    camera, ground_camera : Camera or None
-        Of the last frame, in the capture frame and in the ground frame.
-    view : View or None
-        Of the ground camera, as kernels take it.
-    sheltered : list of tuple of slice
-        Windows of the map in which actors keep rings off in the last frame.
-    cars : list of Motion
-        What has tyres that throw water.
-    brightness : float
-        Factor on the finished picture: that of the settings times the meter's.
-    notes : list of str
-        That no report has held yet.
+    now : Config. Of the present time.
+    camera, ground_camera : Camera or None. Of the last frame, in the capture
+        frame and in the ground frame.
+    view : View or None. Of the ground camera, as kernels take it.
+    sheltered : list of tuple of slice. Windows of the map in which actors keep
+        rings off in the last frame.
+    cars : list of Motion. What has tyres that throw water.
+    brightness : float. Factor on the finished picture: that of the settings times
+        the meter's.
+    notes : list of str. That no report has held yet.
     """
 
     def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
@@ -130,14 +118,11 @@ class Conductor:
     def take(self, camera, state, camera_end=None):
         """Put the inputs of the next frame.
 
-        Parameters
-        ----------
-        camera : Camera
-            In the capture frame.
+        camera : Camera. In the capture frame.
         state : SimState or DeviceState
-        camera_end : Camera or None
-            As the shutter closes, in the ground frame; None: the camera stands still. Only rain
-            shows the motion: the capture stays sharp.
+        camera_end : Camera or None. As the shutter closes, in the ground frame;
+            None: the camera stands still. Only rain shows the motion: the capture
+            stays sharp.
         """
         put, scene = self.frame.put, self.wet_scene
         self.set_time(state.time)

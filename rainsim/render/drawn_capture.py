@@ -23,40 +23,27 @@ NEAR = 0.05  # m: splats nearer than this are not drawn
 class DrawnCapture:
     """A capture in the colours of the present time, with what moves where it is now.
 
-    Parameters
-    ----------
-    backdrop : Backdrop
-        Its scene is drawn, or `scene`.
-    scene : Scene
-        That of `backdrop`, perhaps without shreds of its sky.
+    backdrop : Backdrop. Its scene is drawn, or `scene`.
+    scene : Scene. That of `backdrop`, perhaps without shreds of its sky.
     present : PresentSplats
-    colors : tuple
-        State of `present` at the start.
-    badly_placed : ndarray of shape (n,), bool
-        Splats that mirrored pictures and the surroundings leave out, see `visibility`.
-    merge : float [px]
-        Side of the cells in which pictures merge splats, where they can; 0: they merge none.
-    terrain : Terrain
-        Whole, by which splats stand on the ground.
-    paged : PagedScene or None
-        What draws a big capture.
-    rasterizer_of : callable
-        rasterizer_of(prepared) returns what draws prepared splats.
-    normals : tuple, optional
-        See `surface.kept_surface.splat_normals`.
-
-    Attributes
-    ----------
-    splats, prepared : Splats and PreparedSplats
-        Those of the scene in the present light; of a big capture without actors only `splats`.
-    merge : float [px]
-        Side of the cells in which frames and mirrored pictures do merge splats.
+    colors : tuple. State of `present` at the start.
+    badly_placed : bool array (n,). Splats that mirrored pictures and the
+        surroundings leave out, see `visibility`.
+    merge : float [px]. Side of the cells in which pictures merge splats, where
+        they can; 0: they merge none.
+    terrain : Terrain. Whole, by which splats stand on the ground.
+    paged : PagedScene or None. What draws a big capture.
+    rasterizer_of : callable. rasterizer_of(prepared) returns what draws prepared
+        splats.
+    normals : tuple, optional. See `surface.kept_surface.splat_normals`.
+    splats, prepared : Splats and PreparedSplats. Those of the scene in the
+        present light; of a big capture without actors only `splats`.
+    merge : float [px]. Side of the cells in which frames and mirrored pictures do
+        merge splats.
     near : float [capture units]
     rasterizer : Rasterizer or PagedRasterizer
-    actors : ActorSplats or None
-        What moves, see `move_actors`.
-    changes : int
-        Counts whatever makes pictures of the same camera differ.
+    actors : ActorSplats or None. What moves, see `move_actors`.
+    changes : int. Counts whatever makes pictures of the same camera differ.
     """
 
     def __init__(

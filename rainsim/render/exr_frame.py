@@ -50,22 +50,13 @@ LEAST_PAST = 1e-6  # share of light that near drops and spray let through: behin
 class ExrFormat:
     """How frames are written as OpenEXR files.
 
-    Attributes
-    ----------
     fps : float [1/s]
-    name : str
-        Of the files, with the place of the frame's number as C's printf has it: %04d.
-    start : int
-        Number of the first frame.
-    colorspace : str
-        Of `SPACES`.
-    layers : tuple of str
-        Those that are written as files of their own beside it.
-
-    Raises
-    ------
-    ParameterError
-        If the name or the number cannot be that of a file.
+    name : str. Of the files, with the place of the frame's number as C's printf
+        has it: %04d.
+    start : int. Number of the first frame.
+    colorspace : str. Of `SPACES`.
+    layers : tuple of str. Those that are written as files of their own beside it.
+    Raises ParameterError if the name or the number cannot be that of a file.
     """
 
     fps: float
@@ -99,8 +90,6 @@ class ExrFormat:
 def write_exr(folder, report):
     """Write the OpenEXR file of a frame with the layers LAYERS; return its name.
 
-    Parameters
-    ----------
     folder : Path
     report : FrameReport
     """
@@ -133,12 +122,8 @@ def write_exr(folder, report):
 def parts_of(report, colorspace="rec709"):
     """Return the parts of a frame's file: for each its channels by name, float16 or float32.
 
-    Parameters
-    ----------
-    report : FrameReport
-        With the layers LAYERS.
-    colorspace : str
-        Of `SPACES`.
+    report : FrameReport. With the layers LAYERS.
+    colorspace : str. Of `SPACES`.
     """
     layers = report.aovs
     right, down = np.moveaxis(layers["flow"], -1, 0)

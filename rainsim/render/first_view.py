@@ -25,16 +25,9 @@ _REFLECTANCE = np.array([fresnel(np.float32(c)) for c in _COSINES], np.float64)
 def view_of_water(scene, terrain):
     """Return the camera of a scene in whose picture puddles would mirror most light.
 
-    Parameters
-    ----------
-    scene : Scene
-        With at least one camera.
-    terrain : Terrain
-
-    Returns
-    -------
-    Camera
-        In the capture frame; the scene's first if no camera shows water.
+    scene : Scene. With at least one camera.
+    Returns Camera. In the capture frame; the scene's first if no camera shows
+        water.
     """
     puddles = puddles_of(terrain)
     puddles.rain(RAIN)
@@ -65,14 +58,9 @@ def places_of_water(terrain, depth):
 def mirrored_share(camera, places, area, terrain):
     """Return the share of a picture's light that water mirrors: picture areas times reflectances.
 
-    Parameters
-    ----------
-    camera : Camera
-        In the ground frame.
-    places : ndarray of shape (n, 3), float64 [m]
-    area : float [m2]
-        That each of the `places` stands for, level.
-    terrain : Terrain
+    camera : Camera. In the ground frame.
+    places : float64 array (n, 3) [m]
+    area : float [m2]. That each of the `places` stands for, level.
     """
     offset = places - camera.position
     right, down, ahead = camera.camera_from_world[:3, :3] @ offset.T

@@ -60,17 +60,12 @@ WET = "wet"  # all else
 class Pass(NamedTuple):
     """A part of a frame's work.
 
-    Attributes
-    ----------
-    name : str
-        By which a backend knows what to compute, and by which times are reported.
-    part : str
-        SPLAT, DRY, SURFACE or WET.
-    reads : tuple of str
-        Inputs, and buffers that earlier passes write. The CPU's function takes their values in
-        this order.
-    writes : tuple of str
-        Buffers. The CPU's function returns them in this order.
+    name : str. By which a backend knows what to compute, and by which times are
+        reported.
+    part : str. SPLAT, DRY, SURFACE or WET.
+    reads : tuple of str. Inputs, and buffers that earlier passes write. The CPU's
+        function takes their values in this order.
+    writes : tuple of str. Buffers. The CPU's function returns them in this order.
     """
 
     name: str
@@ -122,10 +117,7 @@ TRANSIENT = frozenset({"layers", "level_layers"})  # dropped with the picture: 3
 class Frame:
     """The inputs and buffers of one picture after another, by name.
 
-    Parameters
-    ----------
-    passes : sequence of Pass
-        In the order in which they may run.
+    passes : sequence of Pass. In the order in which they may run.
     """
 
     def __init__(self, passes=PASSES):
@@ -145,15 +137,11 @@ class Frame:
     def put(self, name, value, mark=None, compare=True):
         """Take over a value; nothing that reads it is run again if it is the same as before.
 
-        Parameters
-        ----------
-        name : str
-            An input, or a buffer, which then no pass is run for.
+        name : str. An input, or a buffer, which then no pass is run for.
         value : object
-        mark : object, optional
-            Changes when the value does, where that is an object that lives on and changes.
-        compare : bool
-            Whether another object that is equal counts as the same.
+        mark : object, optional. Changes when the value does, where that is an
+            object that lives on and changes.
+        compare : bool. Whether another object that is equal counts as the same.
         """
         alike = is_same if compare else operator.is_
         same = name in self._values and alike(value, self._values[name])
@@ -171,16 +159,12 @@ class Frame:
     def make(self, names, work, mark=lambda name: None):
         """Run the passes on which buffers depend, as far as what they read has changed.
 
-        Parameters
-        ----------
-        names : iterable of str
-            Of the buffers.
-        work : dict of str to callable
-            What each pass computes: it takes the values of `reads` and returns those of `writes`.
-            A pass that has no entry writes None.
-        mark : callable, optional
-            mark(name) is called after each pass; what it raises ends the work. What was finished
-            until then stays.
+        names : iterable of str. Of the buffers.
+        work : dict of str to callable. What each pass computes: it takes the
+            values of `reads` and returns those of `writes`. A pass that has no
+            entry writes None.
+        mark : callable, optional. mark(name) is called after each pass; what it
+            raises ends the work. What was finished until then stays.
         """
         for each, is_stale in self.due(names):
             compute, read = work.get(each.name), self._changes
@@ -203,10 +187,8 @@ class Frame:
     def due(self, names):
         """Return the passes that buffers depend on and that must run, in their order.
 
-        Returns
-        -------
-        list of (Pass, bool)
-            Whether something has changed; if not, only what was dropped is made again.
+        Returns list of (Pass, bool). Whether something has changed; if not, only
+            what was dropped is made again.
         """
         asked = passes_to(names, self._passes, self._given)
         due, newer = set(), set()
@@ -242,16 +224,11 @@ def passes_to(names, passes=PASSES, given=frozenset()):
 def reads_of(passes, launched):
     """Return what each of some passes reads, where others are computed with those that read them.
 
-    Parameters
-    ----------
     passes : sequence of Pass
-    launched : container of str
-        Names of those that a backend computes by themselves.
-
-    Returns
-    -------
-    dict of str to set of str
-        By the names of those launched: inputs, and buffers that others of them write.
+    launched : container of str. Names of those that a backend computes by
+        themselves.
+    Returns dict of str to set of str. By the names of those launched: inputs, and
+        buffers that others of them write.
     """
     found, within = {}, {}
     for each in passes:

@@ -19,12 +19,10 @@ class FrameWriter:
 
     Use as a context manager: on the way out the frame that is being written is waited for.
 
-    Parameters
-    ----------
     folder : Path
-    noted : callable
-        noted(report, names) is called, in the caller's thread, when all files of a frame are whole;
-        names are relative to the folder, the picture's first; the report has no layers any more.
+    noted : callable. noted(report, names) is called, in the caller's thread, when
+        all files of a frame are whole; names are relative to the folder, the
+        picture's first; the report has no layers any more.
     """
 
     def __init__(self, folder, noted):
@@ -48,17 +46,12 @@ class FrameWriter:
     def add(self, picture, report, also=None):
         """Begin to write a frame, when the one before is written.
 
-        Parameters
-        ----------
-        picture : ndarray of shape (height, width, 3), uint8
+        picture : uint8 array (height, width, 3)
         report : FrameReport
-        also : callable, optional
-            Called with the picture in the writing thread, after it is written.
-
-        Raises
-        ------
-        OSError
-            If this frame's layers or the frame before could not be written.
+        also : callable, optional. Called with the picture in the writing thread,
+            after it is written.
+        Raises OSError if this frame's layers or the frame before could not be
+            written.
         """
         self.wait()
         (self.folder / "frames").mkdir(exist_ok=True)

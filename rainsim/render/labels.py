@@ -48,25 +48,20 @@ def _stretch(width, height, fx, fy, cx, cy):
 def flow_of(depth, camera, after, depth_after, number=None, moves=None):
     """Return where the surfaces of a picture are in the next one, and which of them it shows.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [m]
-        Along the view axis, infinite for sky, which moves by the camera's turn alone.
-    camera, after : Camera
-        Of the picture and of the next one, in one frame in metres.
-    depth_after : ndarray of shape (height, width), float32 [m]
-    number : ndarray of shape (height, width), int, optional
-        Of the actor that each pixel shows.
-    moves : dict of int to ndarray of shape (4, 4), optional
-        How the actors move in that frame, see `actor_labels.moves_of`.
-
-    Returns
-    -------
-    flow : ndarray of shape (height, width, 2), float32 [px]
-        To the right and down; zero where the surface gets behind the camera.
-    mask : ndarray of shape (height, width), uint16
-        NO_FLOW: behind the next camera. SEEN: the next picture shows the same surface there.
-        OCCLUDED: it shows another one. OUTSIDE: the place lies outside the next picture.
+    depth : float32 array (height, width) [m]. Along the view axis, infinite for
+        sky, which moves by the camera's turn alone.
+    camera, after : Camera. Of the picture and of the next one, in one frame in
+        metres.
+    depth_after : float32 array (height, width) [m]
+    number : int array (height, width), optional. Of the actor that each pixel
+        shows.
+    moves : dict of int to array (4, 4), optional. How the actors move in that
+        frame, see `actor_labels.moves_of`.
+    Returns flow : float32 array (height, width, 2) [px]. To the right and down;
+        zero where the surface gets behind the camera.
+        mask : uint16 array (height, width). NO_FLOW: behind the next camera.
+            SEEN: the next picture shows the same surface there. OCCLUDED: it
+            shows another one. OUTSIDE: the place lies outside the next picture.
     """
     number = np.zeros(depth.shape, np.uint16) if number is None else number.astype(np.uint16)
     begin = np.linalg.inv(camera.camera_from_world)
@@ -160,21 +155,13 @@ def class_names():
 def class_ids(view, depth, clearance, upright, terrain, water):
     """Return the class of the ground or the water that each pixel shows.
 
-    Parameters
-    ----------
-    view : View
-    depth, clearance : ndarray of shape (height, width), float32 [m]
-        Along the view axis, and over the height map.
-    upright : ndarray of shape (height, width), float
-        The surface's normal upwards in the ground frame.
-    terrain : Terrain
-    water : ndarray of shape (n,), int
-        Pixels that show water, row by row.
-
-    Returns
-    -------
-    ndarray of shape (height, width), uint16
-        Codes of rainsim/config/classes.toml, OTHER_CLASS for all that is neither.
+    depth, clearance : float32 array (height, width) [m]. Along the view axis, and
+        over the height map.
+    upright : float array (height, width). The surface's normal upwards in the
+        ground frame.
+    water : int array (n,). Pixels that show water, row by row.
+    Returns uint16 array (height, width). Codes of rainsim/config/classes.toml,
+        OTHER_CLASS for all that is neither.
     """
     ids = np.full(depth.shape, OTHER_CLASS, np.uint16)
     flat = ids.ravel()
@@ -202,17 +189,10 @@ def puddle_map(terrain, depth):
     A puddle's id comes from its lowest cell, so that it stays while the puddle grows and shrinks;
     two that flow together have the id of the lower one. In one map all ids differ.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    depth : ndarray of shape (ny, nx) [m]
-
-    Returns
-    -------
-    ids : ndarray of shape (ny, nx), uint16
-        0 where there is no puddle.
-    puddles : dict of int to dict
-        area_m2, volume_m3 and greatest depth_m by id.
+    depth : array (ny, nx) [m]
+    Returns ids : uint16 array (ny, nx). 0 where there is no puddle.
+        puddles : dict of int to dict. area_m2, volume_m3 and greatest depth_m by
+            id.
     """
     label, count = ndimage.label(depth >= WET, np.ones((3, 3), int))
     number = np.zeros(count + 1, np.uint16)
@@ -250,15 +230,10 @@ def puddle_map(terrain, depth):
 def puddle_ids(pixel, record, shape, terrain, ids):
     """Return the puddle that each pixel shows, ndarray of `shape`, uint16, 0 for none.
 
-    Parameters
-    ----------
-    pixel : ndarray of shape (n,), int
-        Of each record, row by row.
-    record : ndarray of shape (n, RECORD), float32
+    pixel : int array (n,). Of each record, row by row.
+    record : float32 array (n, RECORD)
     shape : (int, int)
-    terrain : Terrain
-    ids : ndarray of shape (ny, nx), uint16
-        See `puddle_map`.
+    ids : uint16 array (ny, nx). See `puddle_map`.
     """
     found = np.zeros(shape, np.uint16)
     kept = shown_water(record)
@@ -273,15 +248,9 @@ def puddle_ids(pixel, record, shape, terrain, ids):
 def boxes_of(ids):
     """Return the box of each instance of an index picture.
 
-    Parameters
-    ----------
-    ids : ndarray of shape (height, width), uint16
-        0 for none.
-
-    Returns
-    -------
-    list of dict
-        id, box (left, top, right, bottom) [px], right and bottom not included, and pixels.
+    ids : uint16 array (height, width). 0 for none.
+    Returns list of dict. id, box (left, top, right, bottom) [px], right and
+        bottom not included, and pixels.
     """
     place = np.flatnonzero(ids)
     if not len(place):

@@ -40,12 +40,8 @@ LAYER_PASSES, WORK = [], {}  # in the order of this file; what each computes, se
 def layer(*writes, name=""):
     """Make a pass of a function: it reads the inputs and buffers that its parameters are named for.
 
-    Parameters
-    ----------
-    *writes : str
-        The layers, or other buffers, that it returns.
-    name : str
-        Of the pass; by default that of the layer.
+    *writes : str. The layers, or other buffers, that it returns.
+    name : str. Of the pass; by default that of the layer.
     """
 
     def passed(compute):
@@ -65,13 +61,9 @@ def buffers_of(names):
 def facts_of(names, frame, weather):
     """Return a frame's labels besides pictures, as plain JSON values.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Layers that were made: classes are named, puddles and splashes get their boxes.
-    frame : Frame
-    weather : dict
-        See `rainsim.render.weather.weather_of`.
+    names : sequence of str. Layers that were made: classes are named, puddles and
+        splashes get their boxes.
+    weather : dict. See `rainsim.render.weather.weather_of`.
     """
     facts = {"weather": weather}
     if "class_id" in names:

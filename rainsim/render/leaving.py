@@ -24,13 +24,9 @@ MOST_LOOKED_AT = 48  # cameras of a path, evenly spaced
 class Leaving:
     """Tells how much of pictures is badly seen.
 
-    Parameters
-    ----------
-    scene : Scene
-        With cameras, without the splats of the captured sky: little is known of them, and they are
-        not drawn.
-    views : Views
-        Of its splats.
+    scene : Scene. With cameras, without the splats of the captured sky: little is
+        known of them, and they are not drawn.
+    views : Views. Of its splats.
     """
 
     def __init__(self, scene, views):
@@ -44,10 +40,7 @@ class Leaving:
         Those are pixels whose splat, where half of the light is stopped, fewer than LEAST_SEEN of
         the capture's cameras saw, or most of them from the other side of the surface.
 
-        Parameters
-        ----------
-        camera : Camera
-            In the capture frame.
+        camera : Camera. In the capture frame.
         """
         layers = self._rasterizer.draw(resize_to(camera, WIDTH), self._near, hit=True)
         shows = layers.hit >= 0
@@ -66,12 +59,9 @@ def leaving_of(scene):
 def leaving_notes(scene, cameras):
     """Return notes on cameras that leave the capture, a tuple of str.
 
-    Parameters
-    ----------
-    scene : Scene
-        See `Leaving`.
-    cameras : sequence of Camera
-        Of all frames, or one for all, in the capture frame.
+    scene : Scene. See `Leaving`.
+    cameras : sequence of Camera. Of all frames, or one for all, in the capture
+        frame.
     """
     own = {camera.position.tobytes() for camera in scene.cameras}
     if all(camera.position.tobytes() in own for camera in cameras):

@@ -39,16 +39,10 @@ LEAST_WIDTH = 64  # px: a smaller one is no remedy
 class Need(NamedTuple):
     """An estimate of memory that is going to be taken.
 
-    Attributes
-    ----------
-    what : str
-        What takes it, for messages.
-    bytes : float
-        At the peak, an estimate.
-    pixel : float
-        Bytes of them for a pixel.
-    where : str
-        For messages: "" in the machine's own memory.
+    what : str. What takes it, for messages.
+    bytes : float. At the peak, an estimate.
+    pixel : float. Bytes of them for a pixel.
+    where : str. For messages: "" in the machine's own memory.
     """
 
     what: str
@@ -70,15 +64,9 @@ def layers_held(names, exr=None, optics=None):
 def memory_of_frames(scene, camera, cells=0, layers=0):
     """Return the bytes that a run takes at its peak, an estimate.
 
-    Parameters
-    ----------
-    scene : Scene
-    camera : Camera
-        In the frames' size.
-    cells : int
-        Of the height map.
-    layers : int
-        Number of AOVs.
+    camera : Camera. In the frames' size.
+    cells : int. Of the height map.
+    layers : int. Number of AOVs.
     """
     every = (scene.splats, *(actor.splats for actor in scene.actors))
     splats = PER_SPLATS * sum(map(_bytes_of, every)) + _bytes_of_pages(scene)
@@ -99,18 +87,11 @@ def device_memory_of_frames(splats, camera, cells=0, levels=DEVICE_LEVELS):
 def require_memory(scene, camera, cells=0, layers=0, device_free=None):
     """Raise ParameterError if frames of this size do not fit; it names a width that does.
 
-    Parameters
-    ----------
-    scene, camera, cells, layers
-        As `memory_of_frames` takes them.
-    device_free : int, optional
-        Free bytes of the GPU that draws; without it the CPU draws.
-
-    Returns
-    -------
-    need : Need
-    free : int or None
-        Bytes; None if unknown.
+    scene, camera, cells, layers. As `memory_of_frames` takes them.
+    device_free : int, optional. Free bytes of the GPU that draws; without it the
+        CPU draws.
+    Returns need : Need
+        free : int or None. Bytes; None if unknown.
     """
     what = _pictures("frames", camera) + (f" on {cells} cells" if cells else "")
     if device_free is None:
@@ -124,14 +105,9 @@ def require_memory(scene, camera, cells=0, layers=0, device_free=None):
 def require_memory_of_dry(splats, camera, arrays=False, device_free=None):
     """Raise ParameterError if a picture of the dry capture does not fit; list a note if it is much.
 
-    Parameters
-    ----------
-    splats : Splats
-    camera : Camera
-    arrays : bool
-        Whether all layers are written, as `rainsim splat --out FILE.npz` does.
-    device_free : int, optional
-        Free bytes of the GPU that draws.
+    arrays : bool. Whether all layers are written, as `rainsim splat --out
+        FILE.npz` does.
+    device_free : int, optional. Free bytes of the GPU that draws.
     """
     what, pixel = _pictures("a picture", camera), DRY_PIXEL + (ARRAYS_PIXEL if arrays else 0.0)
     if device_free is not None:
@@ -155,10 +131,7 @@ def require_memory_of_picture(camera, device_free=None):
 def require_memory_of_water(cells):
     """Raise ParameterError if simulated states of a map do not fit; list a note if it is much.
 
-    Parameters
-    ----------
-    cells : int
-        Of the height map.
+    cells : int. Of the height map.
     """
     need = Need(f"water on {cells} cells", WATER_PROGRAM + WATER_CELL * cells)
     return _notes(need, _require(need, free_memory(), None, COARSER))

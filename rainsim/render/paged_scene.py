@@ -28,29 +28,18 @@ STANDING = 1.4  # times the threshold in what wet ground mirrors: with coarser l
 class PagedScene:
     """Rasterizers of a big capture: of the whole, of standing things, and of all as captured.
 
-    Parameters
-    ----------
-    backdrop : Backdrop
-        Of the scene, whose `pages` are drawn.
-    gain : ndarray of shape (n, 3) or None
-        See `PresentSplats`, of the splats that `backdrop` kept.
-    diffuse : ndarray of shape (n, 3) or None
-        As `gain`.
-    badly_placed : ndarray of shape (n,), bool
-        As `gain`.
-    leave_out : bool
-        Whether badly placed splats as pale as the sky are not drawn at all.
-    terrain : Terrain
-    reach, lawn : ndarray of shape (ny, nx), float32
-        See `diffuse.level_cells`.
+    backdrop : Backdrop. Of the scene, whose `pages` are drawn.
+    gain : array (n, 3) or None. See `PresentSplats`, of the splats that
+        `backdrop` kept.
+    diffuse : array (n, 3) or None. As `gain`.
+    badly_placed : bool array (n,). As `gain`.
+    leave_out : bool. Whether badly placed splats as pale as the sky are not drawn
+        at all.
+    reach, lawn : float32 array (ny, nx). See `diffuse.level_cells`.
     render : RenderConfig
     rasterizer_of : callable
-
-    Attributes
-    ----------
     whole, standing, captured : PagedRasterizer
-    drawer : Rasterizer
-        Of all three.
+    drawer : Rasterizer. Of all three.
     """
 
     def __init__(

@@ -17,13 +17,10 @@ from rainsim.shading.glare import Glare
 class Passes:
     """The passes of a frame on the CPU, with what they keep from one frame to the next.
 
-    Attributes
-    ----------
-    work : dict of str to callable
-        By the names of the passes, see `Frame.make`. What is no pass of the CPU has no entry: the
-        light on wet ground is found with the film, tall things when a ray is first marched.
-    march : March
-        Steps of the march on the screen.
+    work : dict of str to callable. By the names of the passes, see `Frame.make`.
+        What is no pass of the CPU has no entry: the light on wet ground is found
+        with the film, tall things when a ray is first marched.
+    march : March. Steps of the march on the screen.
     """
 
     def __init__(self):

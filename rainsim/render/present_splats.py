@@ -12,16 +12,9 @@ from rainsim.shading.wetness import paving_dampness
 class PresentSplats:
     """Colours of a scene's splats: the captured ones without their sun and without their gloss.
 
-    Parameters
-    ----------
-    scene : Scene
-    gain : ndarray of shape (n, 3) or None
-        See `daylight.relight.Relight`.
-    diffuse : ndarray of shape (n, 3) or None
-        See `visibility.Views`.
-    terrain : Terrain
-    reach, lawn : ndarray of shape (ny, nx), float32
-        See `diffuse.level_share`.
+    gain : array (n, 3) or None. See `daylight.relight.Relight`.
+    diffuse : array (n, 3) or None. See `visibility.Views`.
+    reach, lawn : float32 array (ny, nx). See `diffuse.level_share`.
     """
 
     def __init__(self, scene, gain, diffuse, terrain, reach, lawn):

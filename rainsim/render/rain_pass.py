@@ -18,27 +18,17 @@ from rainsim.rain.dripping import drip_impacts, drips_seen
 def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips, rolls):
     """Return the share of light that falling drops replace, and the fog of those not drawn.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [m]
-        Of the picture.
-    camera, camera_end : Camera
-        In the ground frame, as the shutter opens and closes; None at the end: it stands still.
+    depth : float32 array (height, width) [m]. Of the picture.
+    camera, camera_end : Camera. In the ground frame, as the shutter opens and
+        closes; None at the end: it stands still.
     time : float [s]
-    render : RenderConfig
-        Of that time.
-    field : RainField or None
-        None without rain.
-    surfaces : Surfaces
-        What drops land on.
-    drips, rolls
-        Drips in the air with their numbers; the `Rolls` of tyres or None.
-
-    Returns
-    -------
-    alpha : ndarray of shape (height, width), float32
-    fog : ndarray
-        See `fog_table`.
+    render : RenderConfig. Of that time.
+    field : RainField or None. None without rain.
+    surfaces : Surfaces. What drops land on.
+    drips, rolls. Drips in the air with their numbers; the `Rolls` of tyres or
+        None.
+    Returns alpha : float32 array (height, width)
+        fog : ndarray. See `fog_table`.
     """
     alpha = np.zeros(depth.shape, np.float32)
     drops, clouds = spray_seen(rolls, camera, time, render.exposure)
@@ -80,15 +70,9 @@ def draw_landing(
 ):
     """Return the share of light that splashes replace, ndarray of shape (height, width), float32.
 
-    Parameters
-    ----------
-    interval : float [s]
-        From frame to frame.
-    water : ndarray of shape (ny, nx), float32 [m]
-        Depth on the ground.
-    paving : float
-        How wet open paving is, 0 to 1.
-
+    interval : float [s]. From frame to frame.
+    water : float32 array (ny, nx) [m]. Depth on the ground.
+    paving : float. How wet open paving is, 0 to 1.
     The others are those of `draw_falling`.
     """
     alpha = np.zeros(depth.shape, np.float32)

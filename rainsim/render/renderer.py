@@ -107,9 +107,6 @@ class Renderer:
 def report_of(conductor, state, stages, names=()):
     """Return the `FrameReport` of a frame whose layers `names` are made; takes over the notes.
 
-    Parameters
-    ----------
-    conductor : Conductor
     state : SimState or DeviceState
     stages : dict of str to float [ms]
     names : sequence of str

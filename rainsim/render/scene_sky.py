@@ -11,22 +11,13 @@ from rainsim.shading.wetting import SkyMaps
 class SceneSky:
     """The sky behind a scene and the light around it.
 
-    Parameters
-    ----------
-    backdrop : Backdrop
-    skylines : tuple or None
-        See `skyline.skylines`.
-    plain : bool
-        Whether the day's sky has no land of its own, as a panorama has.
-    day : ndarray of shape (rows, columns, 3), float32
-        The sky of the day, see `day_sky`.
-
-    Attributes
-    ----------
-    behind, behind_mirrored : ndarray of shape (rows, columns, 3), float32
-        What is seen of the day behind the scene and behind the mirrored scene.
-    environment, gloss, coat : ndarray of shape (rows, columns, 3), float32
-        The wet capture around the first camera with the sky of the day; the same, see `glossy`.
+    skylines : tuple or None. See `skyline.skylines`.
+    plain : bool. Whether the day's sky has no land of its own, as a panorama has.
+    day : float32 array (rows, columns, 3). The sky of the day, see `day_sky`.
+    behind, behind_mirrored : float32 array (rows, columns, 3). What is seen of
+        the day behind the scene and behind the mirrored scene.
+    environment, gloss, coat : float32 array (rows, columns, 3). The wet capture
+        around the first camera with the sky of the day; the same, see `glossy`.
     """
 
     def __init__(self, backdrop, skylines, plain, day):

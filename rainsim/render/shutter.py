@@ -17,21 +17,15 @@ FASTEST_TURN = 2 * np.pi  # rad/s; and one that turns faster
 def shutter_end(cameras, index, exposure, fps):
     """Return the camera of frame `index` as it is when the shutter closes, or None if it is still.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        One per frame, in the ground frame, in metres; one alone stands still.
+    cameras : sequence of Camera. One per frame, in the ground frame, in metres;
+        one alone stands still.
     index : int
-    exposure : float [s]
-        The shutter opens at the frame's time.
+    exposure : float [s]. The shutter opens at the frame's time.
     fps : float [1/s]
-
-    Returns
-    -------
-    Camera or None
-        On the way to the next frame's pose: the position in a straight line, the turn about one
-        axis, both even. The last frame goes on as it came. None too where the next frame is a cut:
-        faster than FASTEST or FASTEST_TURN.
+    Returns Camera or None. On the way to the next frame's pose: the position in a
+        straight line, the turn about one axis, both even. The last frame goes on
+        as it came. None too where the next frame is a cut: faster than FASTEST or
+        FASTEST_TURN.
     """
     if len(cameras) < 2:
         return None
@@ -50,12 +44,9 @@ def is_too_fast(motion, fps):
 def next_camera(camera, camera_end, share):
     """Return a frame's camera at the time of the next frame, from where its shutter closes.
 
-    Parameters
-    ----------
-    camera, camera_end : Camera
-        As the shutter opens and closes, see `shutter_end`.
-    share : float
-        The exposure over the time from frame to frame.
+    camera, camera_end : Camera. As the shutter opens and closes, see
+        `shutter_end`.
+    share : float. The exposure over the time from frame to frame.
     """
     move, turn = motion_to_next([camera, camera_end], 0)
     return moved(camera, move / share, turn / share)
@@ -64,16 +55,10 @@ def next_camera(camera, camera_end, share):
 class PathMotion:
     """How a camera moves from frame to frame.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        One per frame, in the ground frame, in metres; one alone stands still.
+    cameras : sequence of Camera. One per frame, in the ground frame, in metres;
+        one alone stands still.
     fps : float [1/s]
-
-    Attributes
-    ----------
-    cuts : list of bool
-        Whether each frame ends in a cut, see `is_too_fast`.
+    cuts : list of bool. Whether each frame ends in a cut, see `is_too_fast`.
     """
 
     def __init__(self, cameras, fps):

@@ -10,16 +10,8 @@ from rainsim.water.puddles import low_ground
 def sunken_notes(path, terrain, config):
     """Return notes on the cameras of frames that are under water or below the ground.
 
-    Parameters
-    ----------
-    path : sequence of Camera
-        One per frame, or one for all, in the ground frame.
-    terrain : Terrain
-    config : Config
-
-    Returns
-    -------
-    list of str
+    path : sequence of Camera. One per frame, or one for all, in the ground frame.
+    Returns list of str
     """
     eyes = np.array([camera.position for camera in path])
     frames = np.array(config.indices) if len(path) > 1 else np.zeros(1, int)

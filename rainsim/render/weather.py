@@ -15,15 +15,9 @@ LEAST_CONTRAST = 0.05  # that the meteorological optical range is defined by (WM
 def weather_of(now, field=None):
     """Return rain, wind, visibility, light and shutter of a moment as plain JSON values.
 
-    Parameters
-    ----------
-    now : Config
-        Of that time, see `Config.at`.
-    field : RainField or None
-        The drops of that time; None without rain.
+    now : Config. Of that time, see `Config.at`.
+    field : RainField or None. The drops of that time; None without rain.
 
-    Notes
-    -----
     The extinction is what pictures show, Q = 1 (see `rainsim.particles.fog`); the optical range
     follows from it as -ln 0.05 over the extinction, the definition of the World Meteorological
     Organization.

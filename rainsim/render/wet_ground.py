@@ -16,12 +16,8 @@ from rainsim.water.tracks import NO_TRACKS
 class TrackedMap(NamedTuple):
     """How wet each cell of the ground is, before and after tyres have thinned its film.
 
-    Attributes
-    ----------
-    untouched, map : ndarray of shape (ny, nx, 4), float32
-        See `wetness.ground_wetness`.
-    rows : slice
-        In which the two differ.
+    untouched, map : float32 array (ny, nx, 4). See `wetness.ground_wetness`.
+    rows : slice. In which the two differ.
     """
 
     untouched: np.ndarray
@@ -32,22 +28,13 @@ class TrackedMap(NamedTuple):
 class WetGround:
     """A part of the ground and how wet it is.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    reach : ndarray of shape (ny, nx), float32
-        Share of the rain that reaches the ground.
-
-    Attributes
-    ----------
-    grass : ndarray of shape (ny, nx), float32
-        See `blurred_grass`.
-    tracked : TrackedMap or None
-        None until `wet` is called; another one whenever the map changes.
-    bodies : BodyMap or None
-        None until `stand` is called.
-    thickest_layer : float32 [m]
-        Thickness of the splats about a poorly known bed, at most; 0 elsewhere.
+    reach : float32 array (ny, nx). Share of the rain that reaches the ground.
+    grass : float32 array (ny, nx). See `blurred_grass`.
+    tracked : TrackedMap or None. None until `wet` is called; another one whenever
+        the map changes.
+    bodies : BodyMap or None. None until `stand` is called.
+    thickest_layer : float32 [m]. Thickness of the splats about a poorly known
+        bed, at most; 0 elsewhere.
     """
 
     def __init__(self, terrain, reach):

@@ -51,23 +51,15 @@ class Shading(NamedTuple):
 class WetScene:
     """A capture under the light and the wetness of the settings' present time.
 
-    Parameters
-    ----------
-    scene, terrain, config, first_camera, rasterizer_of
-        As `rainsim.render.conductor.Conductor` takes them.
-
-    Attributes
-    ----------
-    scene : Scene
-        Without the splats of its sky where another sky is drawn.
+    scene, terrain, config, first_camera, rasterizer_of. As
+        `rainsim.render.conductor.Conductor` takes them.
+    scene : Scene. Without the splats of its sky where another sky is drawn.
     capture : DrawnCapture
     ground : WetGround
     sky : SceneSky
     frame : GroundFrame
-    shading : Shading
-        Another one whenever anything in it changes.
-    notes : list of str
-        What there is to say of the set-up.
+    shading : Shading. Another one whenever anything in it changes.
+    notes : list of str. What there is to say of the set-up.
     """
 
     def __init__(self, scene, terrain, config, first_camera, rasterizer_of=Rasterizer):
@@ -258,20 +250,14 @@ class WetScene:
     def mirrored(self, camera, level, window, step=1):
         """Return view and `MirrorPicture` of `camera` mirrored at the water's `level` [m].
 
-        Parameters
-        ----------
-        camera : Camera
-            In the capture frame.
+        camera : Camera. In the capture frame.
         level : float [m]
-        window : tuple of int [px]
-            Left, top, right and bottom of the part of its picture.
-        step : int
-            Pixels of its picture, along either side, for one that is drawn; divides the window.
-
-        Returns
-        -------
-        view : View
-        picture : MirrorPicture
+        window : tuple of int [px]. Left, top, right and bottom of the part of its
+            picture.
+        step : int. Pixels of its picture, along either side, for one that is
+            drawn; divides the window.
+        Returns view : View
+            picture : MirrorPicture
         """
         camera, layers = self.capture.mirrored_layers(camera, level, window, step)
         wet = self.wetted(layers, self.view_of(camera), mirrored=True)

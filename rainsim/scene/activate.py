@@ -35,29 +35,19 @@ def empty_splats(count, coefficients):
 def activate_rows(splats, part, position, log_scale, turn, logit, base, rest=None, widen=None):
     """Fill the rows `part` of `splats` in place from the stored values of n splats.
 
-    Parameters
-    ----------
-    splats : Splats
     part : slice
-    position : ndarray of shape (n, 3)
-    log_scale : ndarray of shape (n, 3)
-    turn : ndarray of shape (n, 4)
-        Quaternions of any length, w first.
-    logit : ndarray of shape (n,)
-        Opacity before the logistic function.
-    base : ndarray of shape (n, 3)
-        First coefficient of the spherical harmonics.
-    rest : ndarray of shape (n, k - 1, 3), optional
-        Coefficients of the higher degrees.
-    widen : ndarray of shape (n,), optional
-        Standard deviation [capture units] of the 3D smoothing filter that the capture was trained
-        with. It is added to each axis and the opacity reduced so that the splat's mass stays
-        (the 3D smoothing filter of Mip-Splatting, Yu et al. 2024, and Gaussian Opacity Fields).
-
-    Returns
-    -------
-    ndarray of shape (n,), bool
-        Which splats have usable values.
+    position : array (n, 3)
+    log_scale : array (n, 3)
+    turn : array (n, 4). Quaternions of any length, w first.
+    logit : array (n,). Opacity before the logistic function.
+    base : array (n, 3). First coefficient of the spherical harmonics.
+    rest : array (n, k - 1, 3), optional. Coefficients of the higher degrees.
+    widen : array (n,), optional. Standard deviation [capture units] of the 3D
+        smoothing filter that the capture was trained with. It is added to each
+        axis and the opacity reduced so that the splat's mass stays (the 3D
+        smoothing filter of Mip-Splatting, Yu et al. 2024, and Gaussian Opacity
+        Fields).
+    Returns bool array (n,). Which splats have usable values.
     """
     with np.errstate(all="ignore"):  # values that overflow are counted as broken
         length = np.linalg.norm(turn, axis=1)
@@ -100,10 +90,8 @@ def activate(position, log_scale, turn, logit, base, rest=None):
 def keep_good(path, splats, good, max_broken=MAX_BROKEN_SHARE):
     """Return the usable splats and how many were dropped.
 
-    Raises
-    ------
-    InputError
-        If the share of unusable splats is above `max_broken`, or no splat is usable.
+    Raises InputError if the share of unusable splats is above `max_broken`, or no
+        splat is usable.
     """
     count = len(good)
     broken = count - int(np.count_nonzero(good))

@@ -46,28 +46,16 @@ def ground_frame_of(splats, cameras, up=None, meters_per_unit=None, camera_heigh
 def assumed_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
     """Return a `GroundFrame` for a capture of which too little is known to estimate one.
 
-    Parameters
-    ----------
-    splats : Splats
-    cameras : sequence of Camera
-        In the capture frame.
-    up : array_like of shape (3,), optional
-        Roughly up; otherwise the flattest wide surface with most of the capture above it counts as
-        level. Without such a surface it is the mean image-up of the cameras, or -y.
-    meters_per_unit : float, optional
-        Otherwise the cameras stand 1.8 m above the ground, or the ground is 8 m wide.
-
-    Returns
-    -------
-    GroundFrame
-        Each assumption is a note, with the option that corrects it.
-
-    Raises
-    ------
-    GroundError
-        If fewer than three splats are solid.
-    ParameterError
-        If a given value is out of range.
+    cameras : sequence of Camera. In the capture frame.
+    up : array_like of shape (3,), optional. Roughly up; otherwise the flattest
+        wide surface with most of the capture above it counts as level. Without
+        such a surface it is the mean image-up of the cameras, or -y.
+    meters_per_unit : float, optional. Otherwise the cameras stand 1.8 m above the
+        ground, or the ground is 8 m wide.
+    Returns GroundFrame. Each assumption is a note, with the option that corrects
+        it.
+    Raises GroundError if fewer than three splats are solid.
+    Raises ParameterError if a given value is out of range.
     """
     eyes = np.array([camera.position for camera in cameras]).reshape(-1, 3)
     hint = check_hints(up, meters_per_unit, None)
@@ -164,12 +152,9 @@ def ground_extent(splats, frame):
 def levelled_frame(frame, up, point):
     """Return a ground frame with another up, whose ground goes through a point; none is searched.
 
-    Parameters
-    ----------
-    frame : GroundFrame
-        Its scale stays, and its x axis as far as it is level.
-    up, point : array_like of shape (3,)
-        In the capture frame; `point` in capture units.
+    frame : GroundFrame. Its scale stays, and its x axis as far as it is level.
+    up, point : array_like of shape (3,). In the capture frame; `point` in capture
+        units.
     """
     up, point = np.array(up, np.float64) / np.linalg.norm(up), np.array(point, np.float64)
     axes = [axis - (axis @ up) * up for axis in (frame.rotation[0], frame.rotation[2])]

@@ -38,22 +38,10 @@ def is_camera_path(data):
 def path_cameras(data, source):
     """Return the cameras of a camera path.
 
-    Parameters
-    ----------
-    data : dict
-        For which `is_camera_path` is true.
-    source : path-like
-        Names the file in errors.
-
-    Returns
-    -------
-    list of Camera
-        In the capture frame, named "path_00000" and so on.
-
-    Raises
-    ------
-    InputError
-        Names the frame and the value that is missing or wrong.
+    data : dict. For which `is_camera_path` is true.
+    source : path-like. Names the file in errors.
+    Returns list of Camera. In the capture frame, named "path_00000" and so on.
+    Raises InputError: Names the frame and the value that is missing or wrong.
     """
     whole = Entry(source, "camera path", data)
     if str(data.get("camera_type", KINDS[0])).lower() not in KINDS:
@@ -67,23 +55,13 @@ def path_cameras(data, source):
 def path_moments(data, source):
     """Return the number of the rain's state that each frame of a camera path shows.
 
-    Parameters
-    ----------
-    data : dict
-        For which `is_camera_path` is true.
-    source : path-like
-        Names the file in errors.
-
-    Returns
-    -------
-    tuple of int
-        Those nearest to the frames' `render_time`; empty where no frame has one, and where time
-        goes on from frame to frame at the file's `fps`.
-
-    Raises
-    ------
-    InputError
-        If some frames have no time, or one less than the frame before: rain runs forwards.
+    data : dict. For which `is_camera_path` is true.
+    source : path-like. Names the file in errors.
+    Returns tuple of int. Those nearest to the frames' `render_time`; empty where
+        no frame has one, and where time goes on from frame to frame at the file's
+        `fps`.
+    Raises InputError if some frames have no time, or one less than the frame
+        before: rain runs forwards.
     """
     frames = data["camera_path"]
     times = [_rain_time(Entry(source, f"camera_path {i}", f)) for i, f in enumerate(frames)]
@@ -113,23 +91,13 @@ def _rain_time(entry):
 def path_keyframes(data, source):
     """Return the keyframes that a camera path goes through.
 
-    Parameters
-    ----------
-    data : dict
-        As `camera_path_data` returns it.
-    source : path-like
-        Names the file in errors.
-
-    Returns
-    -------
-    list of (Camera, float, float or None)
-        In the capture frame; the seconds from the keyframe before; the time of the rain [s] that it
-        shows, if it has one. A closed path ends with its first keyframe again.
-
-    Raises
-    ------
-    InputError
-        If there is none, or names the keyframe and the value that is missing or wrong.
+    data : dict. As `camera_path_data` returns it.
+    source : path-like. Names the file in errors.
+    Returns list of (Camera, float, float or None). In the capture frame; the
+        seconds from the keyframe before; the time of the rain [s] that it shows,
+        if it has one. A closed path ends with its first keyframe again.
+    Raises InputError if there is none, or names the keyframe and the value that
+        is missing or wrong.
     """
     keyframes = data.get("keyframes") if isinstance(data, dict) else None
     if not isinstance(keyframes, list) or not keyframes:
@@ -167,18 +135,16 @@ def _camera(entry, index, key="camera_to_world"):
 def camera_path_data(poses, width, height, fps, keyframes=(), moments=()):
     """Return a camera path as nerfstudio's viewer writes it, a dict of plain values.
 
-    Parameters
-    ----------
-    poses : sequence of (ndarray of shape (4, 4), float)
-        For each frame capture_from_camera with OpenCV axes (x right, y down, z forward) and the
-        angle of the picture's height [rad].
+    poses : sequence of (float array (4, 4)). For each frame capture_from_camera
+        with OpenCV axes (x right, y down, z forward) and the angle of the
+        picture's height [rad].
     width, height : int [px]
     fps : float [1/s]
-    keyframes : sequence of (ndarray of shape (4, 4), float, float, float or None)
-        Pose and angle as in `poses`, the seconds from the keyframe before, and the time of the rain
-        [s] that it shows, None where time goes on.
-    moments : sequence of int
-        The number of the rain's state that each frame shows; without it its own.
+    keyframes : sequence of (float array (4, 4), float, float or None). Pose and
+        angle as in `poses`, the seconds from the keyframe before, and the time of
+        the rain [s] that it shows, None where time goes on.
+    moments : sequence of int. The number of the rain's state that each frame
+        shows; without it its own.
     """
     aspect = width / height
     moments = moments or range(len(poses))

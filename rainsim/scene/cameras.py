@@ -41,22 +41,12 @@ PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "O
 def read_cameras(path):
     """Read the cameras of a `cameras.json`, a `transforms.json`, a path or a COLMAP sparse model.
 
-    Parameters
-    ----------
-    path : path-like
-        A JSON file of any kind; one of the files of a COLMAP model; or a folder with
-        `cameras.json`, `transforms.json` or sparse/0 in it.
-
-    Returns
-    -------
-    list of Camera
-        In the file's order (of a COLMAP model sorted by name), in the capture frame. Lens
-        distortion is not applied: splats are drawn as an undistorted pinhole camera sees them.
-
-    Raises
-    ------
-    InputError
-        Names the camera and the value that is missing or wrong.
+    path : path-like. A JSON file of any kind; one of the files of a COLMAP model;
+        or a folder with `cameras.json`, `transforms.json` or sparse/0 in it.
+    Returns list of Camera. In the file's order (of a COLMAP model sorted by
+        name), in the capture frame. Lens distortion is not applied: splats are
+        drawn as an undistorted pinhole camera sees them.
+    Raises InputError: Names the camera and the value that is missing or wrong.
     """
     return load_cameras(path)[0]
 

@@ -96,23 +96,13 @@ def _has_model(folder, suffix):
 def read_model(folder):
     """Read the cameras of a COLMAP sparse model.
 
-    Parameters
-    ----------
-    folder : path-like
-        Holds cameras.bin and images.bin, or cameras.txt and images.txt; or is the folder above
-        (with sparse/0 and the like).
-
-    Returns
-    -------
-    cameras : list of Camera
-        One for each image, sorted by name; named as the images are, without their ending.
-    notes : list of str
-        Which lens distortion is ignored.
-
-    Raises
-    ------
-    InputError
-        If there is no model, or it is damaged; names the image or camera.
+    folder : path-like. Holds cameras.bin and images.bin, or cameras.txt and
+        images.txt; or is the folder above (with sparse/0 and the like).
+    Returns cameras : list of Camera. One for each image, sorted by name; named as
+        the images are, without their ending.
+        notes : list of str. Which lens distortion is ignored.
+    Raises InputError if there is no model, or it is damaged; names the image or
+        camera.
     """
     found = find_model(folder)
     if found is None:
@@ -147,15 +137,9 @@ def read_model(folder):
 def read_lenses(folder):
     """Return the models and distortion coefficients of a sparse model's cameras.
 
-    Parameters
-    ----------
-    folder : path-like
-        As for `read_model`.
-
-    Returns
-    -------
-    set of (str, tuple of float)
-        COLMAP's name of each model and its parameters after the principal point.
+    folder : path-like. As for `read_model`.
+    Returns set of (str, tuple of float). COLMAP's name of each model and its
+        parameters after the principal point.
     """
     found = find_model(folder)
     suffix = ".bin" if _has_model(found, ".bin") else ".txt"

@@ -76,26 +76,21 @@ def import_scene(
 ):  # fmt: skip
     """Read a capture and find its ground frame.
 
-    Parameters
-    ----------
-    path : path-like
-        A trained model's folder (point_cloud/iteration_*/point_cloud.ply, the newest iteration,
-        with cameras.json), a splat file of any format that `rainsim.scene.formats` reads with
-        cameras.json, transforms.json or a COLMAP model (sparse/0) beside it, or a scene folder as
-        `write_scene` writes it.
-    cameras : path-like or sequence of Camera, optional
-        Cameras to use instead of those in files beside the splats; see `read_cameras`.
-    up, meters_per_unit, camera_height
-        See `estimate_ground_frame`. Values not given are kept from a scene folder; without cameras
-        they are assumed, see `assumed_ground_frame`.
-    ground_frame : path-like or GroundFrame, optional
-        The whole ground frame; `up` and the scale are then ignored.
-    spz_frame : {"rub", "rdf"}, optional
-        Axes of an SPZ file that does not name them; by default those in which the cameras see.
-
-    Returns
-    -------
-    Scene
+    path : path-like. A trained model's folder
+        (point_cloud/iteration_*/point_cloud.ply, the newest iteration, with
+        cameras.json), a splat file of any format that `rainsim.scene.formats`
+        reads with cameras.json, transforms.json or a COLMAP model (sparse/0)
+        beside it, or a scene folder as `write_scene` writes it.
+    cameras : path-like or sequence of Camera, optional. Cameras to use instead of
+        those in files beside the splats; see `read_cameras`.
+    up, meters_per_unit, camera_height. See `estimate_ground_frame`. Values not
+        given are kept from a scene folder; without cameras they are assumed, see
+        `assumed_ground_frame`.
+    ground_frame : path-like or GroundFrame, optional. The whole ground frame;
+        `up` and the scale are then ignored.
+    spz_frame : {"rub", "rdf"}, optional. Axes of an SPZ file that does not name
+        them; by default those in which the cameras see.
+    Returns Scene
     """
     path, camera_notes = Path(path), []
     if actors_file(path) is not None:
@@ -315,11 +310,8 @@ def _file_name(path, model):
 def write_scene(folder, scene):
     """Write a scene folder; both files are replaced together, when both are whole.
 
-    Parameters
-    ----------
-    folder : path-like
-        Made if it does not exist; other files in it stay as they are.
-    scene : Scene
+    folder : path-like. Made if it does not exist; other files in it stay as they
+        are.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -401,14 +393,9 @@ def scene_to_data(scene):
 def scene_from_data(data, splats, where, name=""):
     """Return the Scene of its splats and of data from `scene_to_data`, without a source.
 
-    Parameters
-    ----------
     data : dict
-    splats : Splats
-    where : path-like or str
-        Where the data come from, for messages.
-    name : str
-        Of the scene, if the data have none.
+    where : path-like or str. Where the data come from, for messages.
+    name : str. Of the scene, if the data have none.
     """
     cameras, notes = data.get("cameras"), data.get("notes")
     sun = number_array(data.get("captured_sun"), (3,))

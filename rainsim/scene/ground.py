@@ -50,36 +50,26 @@ def estimate_ground_frame(
 ):
     """Estimate the similarity that takes a capture to metres with z up and the ground near z = 0.
 
-    Parameters
-    ----------
-    splats : Splats
-    cameras : sequence of Camera
-        In the capture frame. They say where to look for the ground, stand above it and fix the
-        scale; without any, `up` and `meters_per_unit` are needed: `assumed_ground_frame` does
-        without them.
-    up : array_like of shape (3,), optional
-        Roughly up in the capture frame. The ground is searched within 20 degrees of level and
-        then made exactly level; to keep a known fall, give the whole ground frame instead.
+    cameras : sequence of Camera. In the capture frame. They say where to look for
+        the ground, stand above it and fix the scale; without any, `up` and
+        `meters_per_unit` are needed: `assumed_ground_frame` does without them.
+    up : array_like of shape (3,), optional. Roughly up in the capture frame. The
+        ground is searched within 20 degrees of level and then made exactly level;
+        to keep a known fall, give the whole ground frame instead.
     meters_per_unit : float, optional [m / capture unit]
-    camera_height : float, optional [m]
-        Mean height of the cameras above the ground; 1.8 m is assumed if neither is given.
-    seed : int
-        Of the random sampling; different seeds agree to some thousandths of a degree.
-
-    Returns
-    -------
-    GroundFrame
-        x runs along the first camera's view direction on the ground (along its image-up if it
-        looks straight down), or without cameras along the capture's x axis, or its y axis if up
-        is within 45 degrees of the x axis. The origin is the foot of the mean camera position,
-        without cameras the median of the splats on the ground.
-
-    Raises
-    ------
-    GroundError
-        If the ground cannot be found or something needed was not given.
-    ParameterError
-        If a given value is out of range, or both ways to give the scale are used.
+    camera_height : float, optional [m]. Mean height of the cameras above the
+        ground; 1.8 m is assumed if neither is given.
+    seed : int. Of the random sampling; different seeds agree to some thousandths
+        of a degree.
+    Returns GroundFrame. x runs along the first camera's view direction on the
+        ground (along its image-up if it looks straight down), or without cameras
+        along the capture's x axis, or its y axis if up is within 45 degrees of
+        the x axis. The origin is the foot of the mean camera position, without
+        cameras the median of the splats on the ground.
+    Raises GroundError if the ground cannot be found or something needed was not
+        given.
+    Raises ParameterError if a given value is out of range, or both ways to give
+        the scale are used.
     """
     cameras = list(cameras)
     up = check_hints(up, meters_per_unit, camera_height)
@@ -258,14 +248,9 @@ def scale_from_length(a, b, length):
 def with_fall(frame, fall, direction):
     """Return a ground frame whose ground slopes instead of being level.
 
-    Parameters
-    ----------
-    frame : GroundFrame
-        With the ground plane level.
-    fall : float
-        Metres down per metre; patios are laid with 0.01 to 0.03.
-    direction : float [rad]
-        The way it goes down, from x towards y.
+    frame : GroundFrame. With the ground plane level.
+    fall : float. Metres down per metre; patios are laid with 0.01 to 0.03.
+    direction : float [rad]. The way it goes down, from x towards y.
     """
     require_finite("fall direction", direction)
     if not abs(require_finite("fall", fall)) <= LARGEST_FALL:

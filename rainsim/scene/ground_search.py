@@ -53,22 +53,13 @@ def ground_below(splats, cameras, up, seed):
     none: then the cameras tell what is level, and the splats how far below them the ground lies.
     With `up` given some plane is always taken.
 
-    Parameters
-    ----------
-    splats : Splats
-    cameras : list of Camera
-        In the capture frame, at least one.
-    up : ndarray of shape (3,) or None
-        Roughly up, unit.
+    cameras : list of Camera. In the capture frame, at least one.
+    up : array (3,) or None. Roughly up, unit.
     seed : int
-
-    Returns
-    -------
-    plane : Plane
-    centre : ndarray of shape (3,) [capture units]
-    placed : ndarray of shape (n,), bool
-        Which cameras are not misplaced.
-    notes : tuple of str
+    Returns plane : Plane
+        centre : array (3,) [capture units]
+        placed : bool array (n,). Which cameras are not misplaced.
+        notes : tuple of str
     """
     points, weights = ground_candidates(splats)
     eyes = np.array([camera.position for camera in cameras])

@@ -17,13 +17,8 @@ def basis(directions):
 
     The order and the signs are those of the original 3DGS code (Kerbl et al. 2023).
 
-    Parameters
-    ----------
-    directions : ndarray of shape (n, 3)
-
-    Returns
-    -------
-    ndarray of shape (n, 16), float64
+    directions : array (n, 3)
+    Returns float64 array (n, 16)
     """
     x, y, z = np.asarray(directions, np.float64).T
     xx, yy, zz = x * x, y * y, z * z
@@ -48,15 +43,10 @@ def turned(sh, rotation):
     of one degree among themselves; the mixing matrix is found from the functions' values at a fixed
     set of directions, by least squares, which is exact to rounding.
 
-    Parameters
-    ----------
-    sh : ndarray of shape (n, k, 3), float32
-        k = 1, 4, 9 or 16 coefficients, see `rainsim.scene.types.Splats`.
-    rotation : ndarray of shape (3, 3), float64
-
-    Returns
-    -------
-    ndarray of shape (n, k, 3), float32
+    sh : float32 array (n, k, 3). k = 1, 4, 9 or 16 coefficients, see
+        `rainsim.scene.types.Splats`.
+    rotation : float64 array (3, 3)
+    Returns float32 array (n, k, 3)
     """
     out = sh.copy()
     if sh.shape[1] == 1:

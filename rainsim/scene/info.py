@@ -24,23 +24,15 @@ def describe(path):
 
     Broken splats are counted however many they are, where reading a scene refuses more than 1 %.
 
-    Parameters
-    ----------
     path : path-like
-
-    Returns
-    -------
-    dict
-        Ready for JSON: `path`, `format`, `bytes`, `splats`, `sh_degree`, `bounds` and `core`
-        (`low`, `high` [capture units]; all splats, and between the 1st and 99th percentile of each
-        axis), `opacity`, `scale_longest`, `scale_thinnest` (percentiles by name [capture units]),
-        `broken` (unusable values, dropped on reading), `invisible`, `without_size`, `oversized`,
-        `needles`, `flat` (counts), `cameras`, `memory` (`splats` and `drawing`, bytes) and `notes`.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read at all, or holds not one usable splat.
+    Returns dict. Ready for JSON: `path`, `format`, `bytes`, `splats`,
+        `sh_degree`, `bounds` and `core` (`low`, `high` [capture units]; all
+        splats, and between the 1st and 99th percentile of each axis), `opacity`,
+        `scale_longest`, `scale_thinnest` (percentiles by name [capture units]),
+        `broken` (unusable values, dropped on reading), `invisible`,
+        `without_size`, `oversized`, `needles`, `flat` (counts), `cameras`,
+        `memory` (`splats` and `drawing`, bytes) and `notes`.
+    Raises InputError if it cannot be read at all, or holds not one usable splat.
     """
     path = Path(path)
     folder = path.parent if path.name == SCENE_FILE else path

@@ -32,12 +32,8 @@ DULLEST = 1e-3  # linear luminance that a colour counts with at least
 class Lamp(NamedTuple):
     """A ball in which bright splats are a lamp's.
 
-    Attributes
-    ----------
-    kind : str
-        A key of `LUMINANCE`.
-    centre : ndarray of shape (3,), float64
-        In the frame and unit of the splats.
+    kind : str. A key of `LUMINANCE`.
+    centre : float64 array (3,). In the frame and unit of the splats.
     radius : float
     """
 
@@ -49,18 +45,10 @@ class Lamp(NamedTuple):
 def with_lamps(splats, lamps):
     """Return splats whose lamps shine, and how many splats each lamp has.
 
-    Parameters
-    ----------
-    splats : Splats
     lamps : sequence of Lamp
+    Returns splats : Splats
+        counts : list of int
 
-    Returns
-    -------
-    splats : Splats
-    counts : list of int
-
-    Notes
-    -----
     A bright splat keeps its colour and gets the class's luminance L = g times its own. A Gaussian
     of g times white looks larger than it is, since its faint rim is white too, so its deviations
     shrink by k = sqrt(max(1, ln g)) and its radiance grows by k^2: its flux is that of L over the

@@ -30,23 +30,16 @@ ALWAYS = -1  # number of the leaf that stands for the splats which are always dr
 class Pages:
     """The runs of a `ChunkTree`, read when needed.
 
-    Parameters
-    ----------
     tree : ChunkTree
-    memory : float [bytes]
-        That the splats may take, see `limit`.
-    change : Change, optional
-        What is drawn in place of the capture's own splats.
-
-    Attributes
-    ----------
+    memory : float [bytes]. That the splats may take, see `limit`.
+    change : Change, optional. What is drawn in place of the capture's own splats.
     tree : ChunkTree
     memory, picture_memory : float [bytes]
-    kept : Kept
-        Prepared pages, such as `lod.paged.Page`; shared by all that draw.
-    read : Kept
-        Runs as they were read. They are kept apart from prepared pages, since a map of the ground
-        reads many runs once, and must not displace pages that every picture needs.
+    kept : Kept. Prepared pages, such as `lod.paged.Page`; shared by all that
+        draw.
+    read : Kept. Runs as they were read. They are kept apart from prepared pages,
+        since a map of the ground reads many runs once, and must not displace
+        pages that every picture needs.
     """
 
     def __init__(self, tree, memory=DEFAULT_MEMORY, change=None):
@@ -80,10 +73,8 @@ class Pages:
     def splats(self, leaf, level):
         """Return the usable Splats of a leaf at a level; of ALWAYS those that are always drawn.
 
-        Raises
-        ------
-        InputError
-            If a chunk is missing, damaged, or does not fit the index.
+        Raises InputError if a chunk is missing, damaged, or does not fit the
+            index.
         """
         found = self.read.get((leaf, level))
         if found is None:
@@ -96,8 +87,6 @@ class Pages:
     def read_ahead(self, wanted):
         """Begin to read runs on another thread, unless it still reads those asked for before.
 
-        Parameters
-        ----------
         wanted : sequence of (leaf, level)
         """
         if self._ahead is not None and not self._ahead.done():
@@ -171,11 +160,9 @@ class Pages:
 class Change:
     """Splats that a capture in chunks is drawn without, and splats that are always drawn with it.
 
-    Attributes
-    ----------
-    gone : callable
-        gone(splats) returns which of the `Splats` are left out, ndarray of shape (n,), bool; a
-        function of a module or a `functools.partial` of one, so that it can be sent to workers.
+    gone : callable. gone(splats) returns which of the `Splats` are left out,
+        ndarray of shape (n,), bool; a function of a module or a
+        `functools.partial` of one, so that it can be sent to workers.
     added : Splats
     """
 
@@ -213,10 +200,8 @@ def levels_at(tree, wanted):
     A leaf without that level shows the next finer one that it has; without a finer one the next
     coarser.
 
-    Parameters
-    ----------
     tree : ChunkTree
-    wanted : int or ndarray of shape (leaves,)
+    wanted : int or array (leaves,)
     """
     there, level = tree.file != NONE, np.arange(tree.levels)
     wanted = np.broadcast_to(wanted, len(there))[:, None]
@@ -232,12 +217,9 @@ def size_of(splats):
 class Kept:
     """Values by key, up to a limit in bytes; the least recently used goes first.
 
-    Attributes
-    ----------
-    most, size, peak : float [bytes]
-        The limit, what is kept now, and the most that was.
-    made : int
-        How often something was put in.
+    most, size, peak : float [bytes]. The limit, what is kept now, and the most
+        that was.
+    made : int. How often something was put in.
     """
 
     def __init__(self, most):

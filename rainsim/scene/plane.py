@@ -44,25 +44,20 @@ WALL_SHARE, WALL_PEAK = 0.04, 0.62
 class Plane:
     """Points p with normal @ p + offset = 0; above it the sum is the height.
 
-    Attributes
-    ----------
-    normal : ndarray of shape (3,), float64
-        Unit, pointing up.
+    normal : float64 array (3,). Unit, pointing up.
     offset : float [capture units]
-    confidence : float
-        0 to 1: product of support, peak and spread, each relative to its value for full confidence.
-    threshold : float [capture units]
-        Half thickness of the slab whose points count as on the plane.
-    support : float
-        Share of the weight in that slab.
-    peak : float
-        0.5 if the slab holds no more weight than equal space beside it, 1 if that is empty.
-    spread : float
-        Share of the region across which the points in the slab lie.
-    rival : Plane or None
-        Another plane with as much support and another normal, if there is one.
-    by_cameras : bool
-        Whether it is level by the cameras, and only its height is that of splats.
+    confidence : float. 0 to 1: product of support, peak and spread, each relative
+        to its value for full confidence.
+    threshold : float [capture units]. Half thickness of the slab whose points
+        count as on the plane.
+    support : float. Share of the weight in that slab.
+    peak : float. 0.5 if the slab holds no more weight than equal space beside it,
+        1 if that is empty.
+    spread : float. Share of the region across which the points in the slab lie.
+    rival : Plane or None. Another plane with as much support and another normal,
+        if there is one.
+    by_cameras : bool. Whether it is level by the cameras, and only its height is
+        that of splats.
     """
 
     normal: np.ndarray
@@ -83,28 +78,20 @@ class Plane:
 def find_plane(points, weights, eyes, up, max_angle, radius, seed=0, thickness=THRESHOLD):
     """Find the lowest well-supported plane among weighted points.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3), float64 [capture units]
-    weights : ndarray of shape (n,), float64
-        Positive.
-    eyes : ndarray of shape (m, 3), float64 [capture units]
-        Viewpoints that must stand above the plane; m may be 0.
-    up : ndarray of shape (3,), float64, or None
-        Roughly up, unit length. Without it and without eyes most points lie above the plane.
-    max_angle : float [radians]
-        How far the normal may lean from `up`.
-    radius : float [capture units]
-        Size of the region that holds the points; lengths are measured by it.
-    seed : int
-        Of the random triplets; the answer is the same for the same seed.
-    thickness : float
-        Half thickness of the slab about a plane whose points count as on it, in units of `radius`.
-
-    Returns
-    -------
-    Plane or None
-        None if no triplet of points spans a plane that is allowed.
+    points : float64 array (n, 3) [capture units]
+    weights : float64 array (n,). Positive.
+    eyes : float64 array (m, 3) [capture units]. Viewpoints that must stand above
+        the plane; m may be 0.
+    up : float64 array (3,), or None. Roughly up, unit length. Without it and
+        without eyes most points lie above the plane.
+    max_angle : float [radians]. How far the normal may lean from `up`.
+    radius : float [capture units]. Size of the region that holds the points;
+        lengths are measured by it.
+    seed : int. Of the random triplets; the answer is the same for the same seed.
+    thickness : float. Half thickness of the slab about a plane whose points count
+        as on it, in units of `radius`.
+    Returns Plane or None. None if no triplet of points spans a plane that is
+        allowed.
     """
     if len(points) < 3:
         return None
@@ -303,17 +290,11 @@ def _judged(points, weights, normal, offset, threshold, radius):
 def upright_planes(points, eye, up, reach, seed=0):
     """Return unit normals (n, 3) of the sure walls among points, at most four.
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3), float64 [capture units]
-    eye : ndarray of shape (3,), float64 [capture units]
-        Middle of the cameras.
-    up : ndarray of shape (3,), float64
-        Unit, off by less than `LEANING`.
-    reach : float [capture units]
-        Distance to what the cameras look at.
-    seed : int
-        Of the random triplets.
+    points : float64 array (n, 3) [capture units]
+    eye : float64 array (3,) [capture units]. Middle of the cameras.
+    up : float64 array (3,). Unit, off by less than `LEANING`.
+    reach : float [capture units]. Distance to what the cameras look at.
+    seed : int. Of the random triplets.
     """
     rng, threshold, walls = np.random.default_rng(seed), WALL_THICKNESS * reach, []
     left = _places(points - eye, WALLS_WITHIN * reach, threshold)

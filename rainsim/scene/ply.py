@@ -59,22 +59,13 @@ class _Layout:
 def read_splats(path):
     """Read an uncompressed splat PLY file, found by its content and not by its name.
 
-    Parameters
-    ----------
     path : path-like
-
-    Returns
-    -------
-    splats : Splats
-        Activated: linear scales, opacity in [0, 1], unit quaternions.
-    notes : list of str
-        What was converted or dropped, one line each; usually empty.
-
-    Raises
-    ------
-    InputError
-        If it is no such file, is shorter than its header promises, or holds more than 1 % of
-        splats with values that are not finite.
+    Returns splats : Splats. Activated: linear scales, opacity in [0, 1], unit
+        quaternions.
+        notes : list of str. What was converted or dropped, one line each; usually
+            empty.
+    Raises InputError if it is no such file, is shorter than its header promises,
+        or holds more than 1 % of splats with values that are not finite.
     """
     path = require_file(path, "a splat PLY")
     with open(path, "rb") as file:
@@ -94,17 +85,9 @@ def read_plain(path, header, max_broken):
 def plain_blocks(path, header, rows=BLOCK):
     """Yield the Splats of an uncompressed PLY in parts, so that memory does not grow with the file.
 
-    Parameters
-    ----------
-    path : Path
-    header : Header
-    rows : int
-        Splats of a part, at most.
-
-    Raises
-    ------
-    InputError
-        As `read_splats` does; for unusable splats after the last part.
+    rows : int. Splats of a part, at most.
+    Raises InputError: As `read_splats` does; for unusable splats after the last
+        part.
     """
     vertex = _require_splats(path, header)
     layout, broken = _layout(path, vertex), 0

@@ -29,14 +29,10 @@ SHOT = "shot"  # key of a transforms.json
 class Shot:
     """One camera over the frames of a file.
 
-    Attributes
-    ----------
-    cameras : tuple of Camera
-        One per frame, in metres with z up; a single one if nothing changes.
-    fps : float [1/s] or None
-        None if the file does not say.
-    first : float
-        Number of the first frame.
+    cameras : tuple of Camera. One per frame, in metres with z up; a single one if
+        nothing changes.
+    fps : float [1/s] or None. None if the file does not say.
+    first : float. Number of the first frame.
     notes : tuple of str
     """
 
@@ -49,23 +45,16 @@ class Shot:
 def read_shot(path, name=None, fps=24.0, as_stands=False):
     """Return the `Shot` in a file, None if the file is of another kind.
 
-    Parameters
-    ----------
-    path : path-like
-        USD, glTF, or JSON; JSON without the key `shot` is of another kind.
-    name : str, optional
-        Of the camera or its path, in a file with several.
-    fps : float [1/s]
-        At which glTF is sampled, which has seconds and no frames.
-    as_stands : bool
-        Numbers and axes as they stand in the file, which then has the capture's own coordinates.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or names the camera and the value that is wrong.
-    ParameterError
-        If it has several cameras and none of them is named, or none has the name.
+    path : path-like. USD, glTF, or JSON; JSON without the key `shot` is of
+        another kind.
+    name : str, optional. Of the camera or its path, in a file with several.
+    fps : float [1/s]. At which glTF is sampled, which has seconds and no frames.
+    as_stands : bool. Numbers and axes as they stand in the file, which then has
+        the capture's own coordinates.
+    Raises InputError if the file cannot be read, or names the camera and the
+        value that is wrong.
+    Raises ParameterError if it has several cameras and none of them is named, or
+        none has the name.
     """
     path = Path(path)
     suffix = path.suffix.lower()

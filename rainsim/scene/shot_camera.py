@@ -21,16 +21,10 @@ Z_UP = {"Z": np.eye(3), "Y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
 class Lens(NamedTuple):
     """A lens in widths and heights of the picture.
 
-    Attributes
-    ----------
-    focal : float
-        Focal length over the picture's width.
-    right, down : float
-        Principal point from the middle, over width and height.
-    shape : float
-        Width over height, as lengths.
-    size : (int, int) or None
-        Width and height [px].
+    focal : float. Focal length over the picture's width.
+    right, down : float. Principal point from the middle, over width and height.
+    shape : float. Width over height, as lengths.
+    size : (int, int) or None. Width and height [px].
     """
 
     focal: float

@@ -50,10 +50,7 @@ def seen_shares(splats, cameras):
 def require_sight(path, splats, cameras):
     """Return a list with a note if many cameras see next to none of the splats.
 
-    Raises
-    ------
-    InputError
-        If all of them do.
+    Raises InputError if all of them do.
     """
     chosen = list(cameras)[:: max(1, len(cameras) // MOST_CAMERAS)]
     if not chosen:
@@ -123,10 +120,8 @@ def in_nerfstudio_frame(splat_file, camera_file, cameras):
     so, and the run's dataparser_transforms.json, beside either file, says how: x' = scale T x for
     places before the `applied_transform` of transforms.json. Other cameras come back as they are.
 
-    Returns
-    -------
-    cameras : list of Camera
-    notes : list of str
+    Returns cameras : list of Camera
+        notes : list of str
     """
     if not _is_nerfstudio(splat_file) or camera_file.name != "transforms.json":
         return cameras, []

@@ -139,9 +139,7 @@ def corner_rays(camera):
 def edge_planes(camera):
     """Return inward unit normals of a picture's left, right, top and bottom, camera frame.
 
-    Returns
-    -------
-    ndarray of shape (4, 3), float64
+    Returns float64 array (4, 3)
     """
     planes = np.array(
         [

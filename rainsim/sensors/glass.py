@@ -219,27 +219,15 @@ def refracted(rays, point, place, centre, radius, pane):
     The glass is thin and bends nothing; water begins at the pane's outer side and ends at the cap's
     sphere.
 
-    Parameters
-    ----------
-    rays : ndarray of shape (n, 3)
-        Unit, camera frame.
-    point : ndarray of shape (n, 3) [m]
-        Where they meet the pane.
-    place : ndarray of shape (n, 2) [m]
-        The same along the pane.
-    centre : ndarray of shape (n, 2) or (2,) [m]
-        Of the disc of each ray's cap.
-    radius : ndarray of shape (n,), or float [m]
-    pane : Pane
-
-    Returns
-    -------
-    out : ndarray of shape (n, 3)
-        Unit directions; NaN where all light is reflected back into the water.
-    leave : ndarray of shape (n, 3) [m]
-        Where they leave the water.
-    share : ndarray of shape (n,)
-        Of the light that gets through the water's outer side.
+    rays : array (n, 3). Unit, camera frame.
+    point : array (n, 3) [m]. Where they meet the pane.
+    place : array (n, 2) [m]. The same along the pane.
+    centre : array (n, 2) or (2,) [m]. Of the disc of each ray's cap.
+    radius : array (n,), or float [m]
+    Returns out : array (n, 3). Unit directions; NaN where all light is reflected
+        back into the water.
+        leave : array (n, 3) [m]. Where they leave the water.
+        share : array (n,). Of the light that gets through the water's outer side.
     """
     axes = pane.axes()
     local = rays @ axes.T  # right, down, out

@@ -39,12 +39,9 @@ def scattered_share(distance, reflectivity, lidar, spectrum):
 def loud_drops(distance, threshold, lidar, spectrum):
     """Return the number [1/m3] of drops that echo louder than a power [1/m2] at ranges [m].
 
-    Parameters
-    ----------
-    distance : ndarray of shape (n,) [m]
-    threshold : float [1/m2]
-        See `lidar_model.echo_power`; a sensor's is its `least_power`.
-    lidar : Lidar
+    distance : array (n,) [m]
+    threshold : float [1/m2]. See `lidar_model.echo_power`; a sensor's is its
+        `least_power`.
     spectrum : RainSpectrum
     """
     # The least diameter that echoes louder than the threshold from each range.

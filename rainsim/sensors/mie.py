@@ -21,14 +21,9 @@ DB = 10 / math.log(10)  # per neper of power
 def water_permittivity(frequency_ghz, temperature=TEMPERATURE):
     """Return the relative permittivity of water, its imaginary part positive.
 
-    Parameters
-    ----------
-    frequency_ghz : float [GHz]
-        Up to 1000.
+    frequency_ghz : float [GHz]. Up to 1000.
     temperature : float [K]
 
-    References
-    ----------
     Liebe, Hufford and Manabe 1991, Int. J. Infrared Millim. Waves 12, 659: two Debye terms.
     """
     theta = 1 - 300 / temperature
@@ -44,15 +39,10 @@ def water_permittivity(frequency_ghz, temperature=TEMPERATURE):
 def extinction_efficiency(size, index):
     """Return the extinction of a sphere over its section.
 
-    Parameters
-    ----------
-    size : float
-        Circumference over wavelength.
-    index : complex
-        Refractive index, its imaginary part positive for a sphere that absorbs.
+    size : float. Circumference over wavelength.
+    index : complex. Refractive index, its imaginary part positive for a sphere
+        that absorbs.
 
-    References
-    ----------
     Bohren and Huffman 1983, Absorption and Scattering of Light by Small Particles, 4.53 and 4.62.
     """
     count = int(size + 4 * size ** (1 / 3) + 10)

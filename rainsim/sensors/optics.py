@@ -141,22 +141,11 @@ class Warps:
 class Taking:
     """The frames of a sequence as its optics take them.
 
-    Parameters
-    ----------
-    optics : Optics
-    cameras : sequence of Camera
-        As `FrameSequence` takes them.
-    scene : Scene
-    config : Config
-    names : sequence of str
-        Layers that reports hold.
+    cameras : sequence of Camera. As `FrameSequence` takes them.
+    names : sequence of str. Layers that reports hold.
     backend : {"cpu", "cuda"}
     exr : ExrFormat or None
-
-    Attributes
-    ----------
-    drawn : list of Camera
-        The pinhole cameras that are drawn, one for each.
+    drawn : list of Camera. The pinhole cameras that are drawn, one for each.
     """
 
     def __init__(self, optics, cameras, scene, config, names, backend="cpu", exr=None):

@@ -73,19 +73,13 @@ class Ray(NamedTuple):
 class Traced:
     """Results of traced rays; distances from their virtual eye (see `Tracer.trace`), capture units.
 
-    Attributes
-    ----------
-    color : ndarray of shape (n, 3), float32
-        Display-referred, over black.
-    alpha : ndarray of shape (n,), float32
-    distance : ndarray of shape (n,), float32
-        Mean of the splats' centres; infinite where alpha is below 0.02.
-    plane_distance : ndarray of shape (n,), float32
-        To the blended plane of the splats.
-    normal : ndarray of shape (n, 3), float32
-        Unit, capture frame, towards the ray's origin.
-    hits : ndarray of shape (n,), int32
-        Splats blended.
+    color : float32 array (n, 3). Display-referred, over black.
+    alpha : float32 array (n,)
+    distance : float32 array (n,). Mean of the splats' centres; infinite where
+        alpha is below 0.02.
+    plane_distance : float32 array (n,). To the blended plane of the splats.
+    normal : float32 array (n, 3). Unit, capture frame, towards the ray's origin.
+    hits : int32 array (n,). Splats blended.
     """
 
     color: np.ndarray
@@ -97,12 +91,7 @@ class Traced:
 
 
 class Tracer:
-    """Traces rays through splats.
-
-    Parameters
-    ----------
-    splats : Splats
-    """
+    """Traces rays through splats."""
 
     def __init__(self, splats):
         n = len(splats)
@@ -125,28 +114,22 @@ class Tracer:
               color_eye=None, stop=TRANSMITTANCE_STOP):  # fmt: skip
         """Trace rays through the splats; return blended colour, distance and normal as `Traced`.
 
-        Parameters
-        ----------
-        origin, direction : ndarray of shape (n, 3), float32
-            Capture frame; unit directions.
-        before : ndarray of shape (n,) or float
-            Length of the way from the eye to the origin: distances count from the virtual eye that
-            far behind the origin, and a splat there is as wide as the picture would widen it.
-        pixel : ndarray of shape (n,) or float
-            Width of the picture's pixel over the distance; 0: splats are not widened.
-        segment : float
-            Length of ray that is searched at first; it changes only the speed.
-        plane : array_like of shape (4,), optional
-            (a, b, c, d): splats whose centres lie at (x, y, z) from the ray's origin with
-            a x + b y + c z < d are left out.
-        color_eye : array_like of shape (3,), optional
-            Where colours are seen from; by default from each ray's own virtual eye.
-        stop : float
-            Transmittance at which a ray ends: what lies behind counts in no mean.
-
-        Returns
-        -------
-        Traced
+        origin, direction : float32 array (n, 3). Capture frame; unit directions.
+        before : array (n,) or float. Length of the way from the eye to the
+            origin: distances count from the virtual eye that far behind the
+            origin, and a splat there is as wide as the picture would widen it.
+        pixel : array (n,) or float. Width of the picture's pixel over the
+            distance; 0: splats are not widened.
+        segment : float. Length of ray that is searched at first; it changes only
+            the speed.
+        plane : array_like of shape (4,), optional. (a, b, c, d): splats whose
+            centres lie at (x, y, z) from the ray's origin with a x + b y + c z <
+            d are left out.
+        color_eye : array_like of shape (3,), optional. Where colours are seen
+            from; by default from each ray's own virtual eye.
+        stop : float. Transmittance at which a ray ends: what lies behind counts
+            in no mean.
+        Returns Traced
         """
         n = len(origin)
         out = Traced(
@@ -295,10 +278,7 @@ def collect(tree, ray, plane, begin, end, stack, hit_out, place_out, alpha_out):
 
     `stack` (STACK,) is working memory; `plane` as in `Tracer.trace`.
 
-    Returns
-    -------
-    int
-        Their number; negative if there are more than fit.
+    Returns int. Their number; negative if there are more than fit.
     """
     record, box, child = tree.record, tree.box, tree.child
     i0, i1, i2 = inverse(ray.d0), inverse(ray.d1), inverse(ray.d2)

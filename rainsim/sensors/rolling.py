@@ -140,14 +140,9 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), rows=None, 
 def _speed_in(camera, motion, depth, report):
     """Return how fast a picture's contents move over it [px/s]: COUNTED % of its pixels are slower.
 
-    Parameters
-    ----------
-    camera : Camera
-        In the ground frame.
-    motion : Motion
-    depth : ndarray of shape (height, width), float32 [m]
-    report : FrameReport
-        Of a scene with actors it holds the layer `actor_id`.
+    camera : Camera. In the ground frame.
+    depth : float32 array (height, width) [m]
+    report : FrameReport. Of a scene with actors it holds the layer `actor_id`.
     """
     turn, ray = camera.camera_from_world[:3, :3], pixel_rays(camera)
     near = np.where(np.isfinite(depth), 1 / depth, 0.0)[..., None]

@@ -34,11 +34,8 @@ def sky_of(scene, found=None):
     Those that its cameras show as sky, and of all that is far, high and bright what gives them no
     more light of land than of sky: a far white wall stays. Where no camera can tell, all of it.
 
-    Parameters
-    ----------
-    scene : Scene
-    found : surface.kept_surface.Found, optional
-        What the cameras show; None for a built-in scene.
+    found : surface.kept_surface.Found, optional. What the cameras show; None for
+        a built-in scene.
     """
     frame = scene.ground_frame
     if scene.cameras:
@@ -67,22 +64,13 @@ def _sky_distance(scene):
 class Backdrop:
     """The captured sky behind a scene: its splats, left out of the scene, and its panorama.
 
-    Parameters
-    ----------
-    scene : Scene
-    own : ndarray of shape (n,), bool
-        Which splats are its sky, see `sky_of`.
-    wanted : bool
-        Whether another sky is to be seen at any time; if not, nothing is taken out.
-
-    Attributes
-    ----------
-    scene : Scene
-        Without the splats of its sky; the given scene if they cover too little of the sky.
-    count : int
-        Splats left out.
-    kept : ndarray of shape (n,), bool, or slice
-        Which splats of the given scene `scene` has.
+    own : bool array (n,). Which splats are its sky, see `sky_of`.
+    wanted : bool. Whether another sky is to be seen at any time; if not, nothing
+        is taken out.
+    scene : Scene. Without the splats of its sky; the given scene if they cover
+        too little of the sky.
+    count : int. Splats left out.
+    kept : bool array (n,), or slice. Which splats of the given scene `scene` has.
     """
 
     def __init__(self, scene, own, wanted):
@@ -118,14 +106,11 @@ class Backdrop:
     def behind(self, day, look, plain=True):
         """Return the sky that is seen behind the scene, a map of the shape of `day`.
 
-        Parameters
-        ----------
-        day : ndarray of shape (rows, columns, 3), float32
-            The sky that replaces the captured one.
-        look : Look
-            Its `sky_replaced` says how much of the captured sky is replaced.
-        plain : bool
-            Whether the day has no land of its own, as a panorama has.
+        day : float32 array (rows, columns, 3). The sky that replaces the captured
+            one.
+        look : Look. Its `sky_replaced` says how much of the captured sky is
+            replaced.
+        plain : bool. Whether the day has no land of its own, as a panorama has.
         """
         day = sky.with_haze(day, self._height) if plain else day
         if not self.count or look.sky_replaced >= 1:
@@ -150,14 +135,9 @@ class Backdrop:
 def far_sky(splats, frame, eye, distance):
     """Return which splats are far, high and bright as a sky is, ndarray of shape (n,), bool.
 
-    Parameters
-    ----------
-    splats : Splats
     frame : GroundFrame
-    eye : ndarray of shape (3,) [capture units]
-        From where the sky is seen.
-    distance : float [m]
-        Least distance of the sky.
+    eye : array (3,) [capture units]. From where the sky is seen.
+    distance : float [m]. Least distance of the sky.
     """
     found = np.zeros(len(splats), np.bool_)
     away = (splats.position - eye.astype(np.float32)) * np.float32(frame.meters_per_unit)

@@ -40,21 +40,12 @@ NO_BODIES = np.zeros((0, 0, 3), np.uint8)
 class BodyMap:
     """Where smooth bodies stand and move on a part of the ground.
 
-    Parameters
-    ----------
-    terrain : Terrain
-        With the footprints of what moves over it.
-    actors : ActorSplats or None
-        Whose time tells where the actors are; before they have one none is there.
-
-    Attributes
-    ----------
-    now : ndarray of shape (ny, nx, 3) or (0, 0, 3), uint8
-        See `body_map`.
-    still : ndarray
-        The same without what moves.
-    moved : list of tuple of slice
-        Rows and columns in which the two differ.
+    terrain : Terrain. With the footprints of what moves over it.
+    actors : ActorSplats or None. Whose time tells where the actors are; before
+        they have one none is there.
+    now : array (ny, nx, 3) or (0, 0, 3), uint8. See `body_map`.
+    still : ndarray. The same without what moves.
+    moved : list of tuple of slice. Rows and columns in which the two differ.
     """
 
     def __init__(self, terrain, actors=None):
@@ -82,15 +73,9 @@ class BodyMap:
 def body_map(terrain):
     """Return between which heights over the bed each cell shows a body, in STEPs.
 
-    Parameters
-    ----------
-    terrain : Terrain
-
-    Returns
-    -------
-    ndarray of shape (ny, nx, 3), uint8
-        Lower and upper side, and the share of a body, of MOST; all 0 where there is no body. TOP is
-        added to the upper side where that is a top with its own water. Of shape (0, 0, 3) if there
+    Returns uint8 array (ny, nx, 3). Lower and upper side, and the share of a
+        body, of MOST; all 0 where there is no body. TOP is added to the upper
+        side where that is a top with its own water. Of shape (0, 0, 3) if there
         is no body.
     """
     spacing = terrain.grid.spacing
@@ -144,17 +129,10 @@ def with_sides(height, underside, things, bodies, spacing):
 def stamped(bodies, terrain, time):
     """Return a map of `body_map` with the actors that move over a terrain at a time [s] on it.
 
-    Parameters
-    ----------
-    bodies : ndarray of shape (ny, nx, 3) or (0, 0, 3), uint8
-    terrain : Terrain
+    bodies : array (ny, nx, 3) or (0, 0, 3), uint8
     time : float [s]
-
-    Returns
-    -------
-    ndarray
-    parts : list of tuple of slice
-        Rows and columns in which it differs.
+    Returns ndarray
+        parts : list of tuple of slice. Rows and columns in which it differs.
     """
     shadows, parts = shadows_on(terrain.grid, terrain.footprints, time), []
     if not shadows:

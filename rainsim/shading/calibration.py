@@ -43,18 +43,13 @@ def albedo_of_white(terrain, splats, ground_albedo=None, gain=None, frame=None):
     with its spread: the mean of the logarithms weighs them. It is at most what makes the whitest
     splats WHITEST.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    splats : Splats
-    ground_albedo : float, optional
-        Albedo of the open ground, if it is known: nothing is guessed then.
-    gain : ndarray of shape (n, 3), optional
-        On the splats' linear light, if the captured sun is divided out. What the sun shone on keeps
-        its level then and shade gets that level too, so the number is that of relit colours: by
-        captured ones the sky would be too dim over ground in the shade.
-    frame : GroundFrame, optional
-        Of the splats; needed with a gain.
+    ground_albedo : float, optional. Albedo of the open ground, if it is known:
+        nothing is guessed then.
+    gain : array (n, 3), optional. On the splats' linear light, if the captured
+        sun is divided out. What the sun shone on keeps its level then and shade
+        gets that level too, so the number is that of relit colours: by captured
+        ones the sky would be too dim over ground in the shade.
+    frame : GroundFrame, optional. Of the splats; needed with a gain.
     """
     light = luminance_of(terrain.color)
     told = INFERRED if terrain.layer.size else MEASURED  # of poor ground the pictures tell colours
@@ -92,12 +87,7 @@ def albedo_of_white(terrain, splats, ground_albedo=None, gain=None, frame=None):
 def ground_gain(terrain, splats, gain, frame):
     """Return the mean gain of the splats on the ground of each cell, (ny, nx); 0 where none lies.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    splats : Splats
-    gain : ndarray of shape (n,)
-        On their light.
+    gain : array (n,). On their light.
     frame : GroundFrame
     """
     grid = terrain.grid
@@ -118,16 +108,9 @@ def ground_gain(terrain, splats, gain, frame):
 def calibration_of(scene, terrain):
     """Return the calibration of a capture's colours that a run would use, as facts by name.
 
-    Parameters
-    ----------
-    scene : Scene
-    terrain : Terrain
-
-    Returns
-    -------
-    dict
-        `albedo` of a captured linear colour of 1; `zenith`, the radiance of an overcast zenith over
-        that ground, display white being 1; `note`, how the albedo was found.
+    Returns dict. `albedo` of a captured linear colour of 1; `zenith`, the
+        radiance of an overcast zenith over that ground, display white being 1;
+        `note`, how the albedo was found.
     """
     splats = Backdrop(scene, sky_of(scene), wanted=True).scene.splats
     albedo, note = albedo_of_white(terrain, splats)
@@ -145,17 +128,13 @@ def zenith_radiance(albedo, exposure):
 def metered(captured, rainy, sky_share, zenith, cloudiness):
     """Return the factor on a rainy picture that a camera's meter would choose.
 
-    Parameters
-    ----------
-    captured, rainy : float
-        Mean linear luminance of the land in some views, as captured and in the rain.
-    sky_share : float
-        Share of the views that shows the sky. The more of it, the more the meter keeps it from
-        losing its clouds.
-    zenith : float
-        Radiance of the zenith.
-    cloudiness : float
-        0: the land stays as bright as it was captured; 1: it becomes MIDDLE_GREY.
+    captured, rainy : float. Mean linear luminance of the land in some views, as
+        captured and in the rain.
+    sky_share : float. Share of the views that shows the sky. The more of it, the
+        more the meter keeps it from losing its clouds.
+    zenith : float. Radiance of the zenith.
+    cloudiness : float. 0: the land stays as bright as it was captured; 1: it
+        becomes MIDDLE_GREY.
     """
     if not (captured > 0 and rainy > 0):
         return 1.0
@@ -171,10 +150,7 @@ def exposure_bias(config):
 
     A meter takes back what wetting darkens, so that a lawn is as bright in rain as dry.
 
-    Parameters
-    ----------
-    config : Config
-        Of one time.
+    config : Config. Of one time.
     """
     if config.render.metering != "auto" or config.render.wetting == "none":
         return 0.0

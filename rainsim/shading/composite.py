@@ -91,14 +91,10 @@ def splash_light(drop, around):
 def through_rain(value, drop, around, air, clear, past_splashes, past_drops):
     """Return the radiance of one channel behind air, splashes and drops, which add their own.
 
-    Parameters
-    ----------
-    value : float32 or ndarray
-        Radiance of the wet scene.
-    drop, around, air : float32 or ndarray
-        Radiances, see `RainLight`.
-    clear, past_splashes, past_drops : float32 or ndarray
-        Shares of light that air, splashes and drops let through.
+    value : float32 or ndarray. Radiance of the wet scene.
+    drop, around, air : float32 or ndarray. Radiances, see `RainLight`.
+    clear, past_splashes, past_drops : float32 or ndarray. Shares of light that
+        air, splashes and drops let through.
     """
     value = air + (value - air) * clear
     splash = splash_light(drop, around)
@@ -128,17 +124,12 @@ def eight_bit(shown):
 def compose(picture, depth, drops: RainCover, light: RainLight, view: View, brightness, image_out):
     """Put air, splashes and drops before a picture and encode it for display.
 
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, 3), float32
-        Radiance.
-    depth : ndarray of shape (height, width), float32 [m]
+    picture : float32 array (height, width, 3). Radiance.
+    depth : float32 array (height, width) [m]
     drops : RainCover
     light : RainLight
-    view : View
-    brightness : float32
-        Factor on the radiance.
-    image_out : ndarray of shape (height, width, 3), uint8
+    brightness : float32. Factor on the radiance.
+    image_out : uint8 array (height, width, 3)
     """
     height, width = depth.shape
     radiance, image = picture.reshape(height, width * 3), image_out.reshape(height, width * 3)
@@ -252,13 +243,9 @@ def find_clear(depth, fog, view: View, clear_out):
 
     It is drawn as an AOV.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [m]
-    fog : ndarray of shape (n + 3,), float32
-        See `RainCover`.
-    view : View
-    clear_out : ndarray of shape (height, width), float32
+    depth : float32 array (height, width) [m]
+    fog : float32 array (n + 3,). See `RainCover`.
+    clear_out : float32 array (height, width)
     """
     height, width = depth.shape
     for row in prange(height):

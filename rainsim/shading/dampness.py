@@ -27,17 +27,12 @@ def find_dampness(
 ):  # fmt: skip
     """Write how wet each pixel's surface is by `wet_state`, at the place where it is wetted.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [m]
-        As `grade_and_wet` wrote it.
+    depth : float32 array (height, width) [m]. As `grade_and_wet` wrote it.
     dry : DryPicture
-    look : Look
-    view : View
     ground : GroundMaps
     rain : OffGroundWetness
-    damp_out : ndarray of shape (height, width), float32
-        0 dry to 1 wet through; 0 for the sky.
+    damp_out : float32 array (height, width). 0 dry to 1 wet through; 0 for the
+        sky.
     """
     height, width = depth.shape
     turn, eye, normal, unit = (

@@ -28,14 +28,8 @@ def level_share(scene, terrain, reach, lawn):
 
     That are level surfaces and smooth bodies.
 
-    Parameters
-    ----------
-    scene : Scene
-    terrain : Terrain
-    reach : ndarray of shape (ny, nx), float32
-        Share of the rain that reaches the ground.
-    lawn : ndarray of shape (ny, nx), float32
-        Share of grass, which has no gloss to lose.
+    reach : float32 array (ny, nx). Share of the rain that reaches the ground.
+    lawn : float32 array (ny, nx). Share of grass, which has no gloss to lose.
     """
     cells = level_cells(terrain, reach, lawn)
     level = share_of_level(scene.splats, scene.ground_frame, terrain, cells)
@@ -104,13 +98,8 @@ def levelness(height, spacing):
 def without_gloss(splats, diffuse, share):
     """Return splats of which a share has the colour `diffuse` from all sides.
 
-    Parameters
-    ----------
-    splats : Splats
-    diffuse : ndarray of shape (n, 3)
-        Display-referred.
-    share : ndarray of shape (n,), float32
-        0: as captured, 1: diffuse.
+    diffuse : array (n, 3). Display-referred.
+    share : float32 array (n,). 0: as captured, 1: diffuse.
     """
     if not share.any():
         return splats

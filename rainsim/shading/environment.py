@@ -72,11 +72,9 @@ def horizon_radiance(environment):
 def probe(draw, position, rows=ROWS, columns=COLUMNS):
     """Return the map (rows, columns, n) of all directions seen from `position` (ground frame, m).
 
-    Parameters
-    ----------
-    draw : callable
-        draw(camera) returns the square picture of n channels that the ground-frame `camera` sees.
-    position : ndarray of shape (3,) [m]
+    draw : callable. draw(camera) returns the square picture of n channels that
+        the ground-frame `camera` sees.
+    position : array (3,) [m]
     """
     direction = directions(rows, columns)
     side = FACE * rows // ROWS

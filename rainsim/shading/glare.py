@@ -43,14 +43,10 @@ def scattered(angle):
 def spread_kernel(focal, rows, columns):
     """Return the light a pixel scatters into others, (2 rows - 1, 2 columns - 1), 0 in its middle.
 
-    Parameters
-    ----------
     focal : float [px]
-    rows, columns : int
-        Of the picture: the middle of the kernel reaches every pixel from any.
+    rows, columns : int. Of the picture: the middle of the kernel reaches every
+        pixel from any.
 
-    Notes
-    -----
     The angle of a distance d is atan(d / focal) and a pixel's solid angle cos^3 / focal^2: exact
     for a lamp in the middle of the picture.
     """
@@ -72,18 +68,11 @@ class Glare:
     def added(self, picture, focal, brightness):
         """Return a picture with the halos of pixels brighter than `DAZZLES` of white.
 
-        Parameters
-        ----------
-        picture : ndarray of shape (height, width, 3), float32
-            Radiance.
+        picture : float32 array (height, width, 3). Radiance.
         focal : float [px]
-        brightness : float
-            Factor with which radiance is shown: 1 over it is white.
-
-        Returns
-        -------
-        ndarray
-            The picture itself where nothing dazzles.
+        brightness : float. Factor with which radiance is shown: 1 over it is
+            white.
+        Returns ndarray. The picture itself where nothing dazzles.
         """
         excess = np.maximum(picture - np.float32(DAZZLES / brightness), 0)
         if not excess.any():

@@ -43,18 +43,14 @@ class Look(NamedTuple):
 def look_of(config, sky_is_left_out, albedo, relit=False, tops=False):
     """Return the `Look` of the settings of one time.
 
-    Parameters
-    ----------
-    config : Config
-        Its `cloudiness`, 0 to 1, makes light dull; the numbers are chosen by eye.
-    sky_is_left_out : bool
-        Whether the splats of the captured sky are left out of the scene.
-    albedo : float
-        That a captured linear colour of 1 stands for.
-    relit : bool
-        Whether the captured sun is divided out: then there are no sunlit patches to compress.
-    tops : bool
-        Whether tops are drawn as water.
+    config : Config. Its `cloudiness`, 0 to 1, makes light dull; the numbers are
+        chosen by eye.
+    sky_is_left_out : bool. Whether the splats of the captured sky are left out of
+        the scene.
+    albedo : float. That a captured linear colour of 1 stands for.
+    relit : bool. Whether the captured sun is divided out: then there are no
+        sunlit patches to compress.
+    tops : bool. Whether tops are drawn as water.
     """
     c = config.render.cloudiness
     replaced = 0.0 if config.render.sky == "capture" else c

@@ -59,14 +59,12 @@ def block_ray(view, step, j, i):
 def ground_met(x, y, z, eye, ground):
     """Return where a ray of view meets the ground, which is nearly level.
 
-    Returns
-    -------
-    ux, uy, dip : float32
-        Its level direction, a unit vector, and how fast it falls.
-    span, height : float32 [m]
-        Its level length to the ground, whose height is there.
-    gx, gy, slope : float32
-        Slopes of the ground, zero off the map, and rms slope of the film.
+    Returns ux, uy, dip : float32. Its level direction, a unit vector, and how
+        fast it falls.
+        span, height : float32 [m]. Its level length to the ground, whose height
+            is there.
+        gx, gy, slope : float32. Slopes of the ground, zero off the map, and rms
+            slope of the film.
     """
     origin, spacing, slopes = ground.origin, ground.spacing, ground.slopes
     flat = max(math.sqrt(x * x + y * y), np.float32(1e-4))

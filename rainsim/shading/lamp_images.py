@@ -47,12 +47,8 @@ class LampView(NamedTuple):
 def lamps_seen(upright, draw_mirrored):
     """Return what a level camera sees, and the lamps in that as in `LampView`.
 
-    Parameters
-    ----------
-    upright : Camera
-        As `level_camera` returns it.
-    draw_mirrored : callable
-        As `WetGroundMirror.add_to` takes it.
+    upright : Camera. As `level_camera` returns it.
+    draw_mirrored : callable. As `WetGroundMirror.add_to` takes it.
     """
     seen = draw_mirrored(upright)
     lamps, share = lamps_in(seen.picture, seen.depth, upright)
@@ -94,16 +90,12 @@ def _excess(color):
 def add_lamps(view: View, step, wanted, ground: GroundSlopes, seen: LampView, field_out):
     """Add the light of lamps that a full water film mirrors to each block of pixels.
 
-    Parameters
-    ----------
-    view : View
     step : int [px]
-    wanted : ndarray of shape (rows, columns), bool
-        As `mirrored_field` takes it.
+    wanted : bool array (rows, columns). As `mirrored_field` takes it.
     ground : GroundSlopes
     seen : LampView
-    field_out : ndarray of shape (rows, columns, 3), float32
-        As `mirrored_field` makes it, without lamps.
+    field_out : float32 array (rows, columns, 3). As `mirrored_field` makes it,
+        without lamps.
     """
     rows, columns = wanted.shape
     for j in prange(rows):
@@ -120,11 +112,8 @@ def add_lamps(view: View, step, wanted, ground: GroundSlopes, seen: LampView, fi
 def lamp_light(x, y, z, eye, ground, seen):
     """Return the radiance of lamps that a water film on the ground mirrors to the eye.
 
-    Parameters
-    ----------
-    x, y, z : float32
-        Direction of view.
-    eye : ndarray of shape (3,), float32 [m]
+    x, y, z : float32. Direction of view.
+    eye : float32 array (3,) [m]
     ground : GroundSlopes
     seen : LampView
     """
@@ -164,19 +153,13 @@ def mirrored_share(vx, vy, vz, dx, dy, dz, flat, square, gx, gy, slope, wide, ta
     over the fourth power of the normal's upward part. A source's variances `wide` and `tall` [m2]
     widen the density by what they turn the half vector.
 
-    Parameters
-    ----------
-    vx, vy, vz : float32
-        Unit vector to the eye.
-    dx, dy, dz, flat, square : float32
-        Way to the source [m], its level length and the square of its length.
-    gx, gy, slope : float32
-        Slopes of the ground and rms slope of the film.
+    vx, vy, vz : float32. Unit vector to the eye.
+    dx, dy, dz, flat, square : float32. Way to the source [m], its level length
+        and the square of its length.
+    gx, gy, slope : float32. Slopes of the ground and rms slope of the film.
     wide, tall : float32 [m2]
-    leave : float32
-        One and Smith's Lambda of the view.
-    law : int
-        Of reflectance, see `fresnel.LAWS`.
+    leave : float32. One and Smith's Lambda of the view.
+    law : int. Of reflectance, see `fresnel.LAWS`.
     """
     one = ONE / math.sqrt(square)
     lx, ly, lz = dx * one, dy * one, dz * one

@@ -27,13 +27,10 @@ _NOT_LAST = np.uint64(0x7F7F7F7F7F7F7F7F)
 def lamps_in(picture, depth, camera):
     """Return the lamps of a level picture as in `LampView`, and the light that they have of all.
 
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, 3), float32
-        Of the level camera mirrored at the ground plane.
-    depth : ndarray of shape (height, width), float32 [m]
-    camera : Camera
-        As `level_camera` returns it.
+    picture : float32 array (height, width, 3). Of the level camera mirrored at
+        the ground plane.
+    depth : float32 array (height, width) [m]
+    camera : Camera. As `level_camera` returns it.
     """
     horizon = round(camera.cy)
     if not picture[horizon:].size or picture[horizon:].max() <= BRIGHT:
@@ -65,20 +62,15 @@ def room_for(height, width):
 def find_lamps(picture, depth, horizon, lens, eye, forward, lamps_out, sums_out):
     """Find the lamps of a level picture, square by square.
 
-    Parameters
-    ----------
-    picture : ndarray of shape (height, width, 3), float32
-    depth : ndarray of shape (height, width), float32 [m]
-    horizon : int
-        First row that counts.
-    lens : ndarray of shape (4,), float32 [px]
-    eye : ndarray of shape (3,), float32 [m]
-        Of the mirrored camera.
-    forward : ndarray of shape (2,), float32
-        Unit: where the axis points to on the ground.
-    lamps_out : ndarray of shape (`room_for`, NUMBERS), float32
-    sums_out : ndarray of shape (3,), float64
-        Number of lamps, their light and that of all pixels.
+    picture : float32 array (height, width, 3)
+    depth : float32 array (height, width) [m]
+    horizon : int. First row that counts.
+    lens : float32 array (4,) [px]
+    eye : float32 array (3,) [m]. Of the mirrored camera.
+    forward : float32 array (2,). Unit: where the axis points to on the ground.
+    lamps_out : float32 array (`room_for`, NUMBERS)
+    sums_out : float64 array (3,). Number of lamps, their light and that of all
+        pixels.
     """
     height, width = depth.shape
     across = (width + TILE - 1) // TILE

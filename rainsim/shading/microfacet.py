@@ -30,11 +30,9 @@ def lobe_table():
     view and the ground, and the rms slope s (Smith; Heitz 2014, JCGT 3(2)). It is cut into SAMPLES
     parts that hold the shares PARTS.
 
-    Returns
-    -------
-    ndarray of shape (ANGLES + 1, SAMPLES, 2), float32
-        Row k is for a / (1 + a) = k / ANGLES. Of each part: mean of x, and the width of the
-        uniform density that has the part's variance.
+    Returns float32 array (ANGLES + 1, SAMPLES, 2). Row k is for a / (1 + a) = k /
+        ANGLES. Of each part: mean of x, and the width of the uniform density that
+        has the part's variance.
     """
     x = np.linspace(-5, 5, 8001)
     table = np.empty((ANGLES + 1, SAMPLES, 2), np.float32)

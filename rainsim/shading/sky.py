@@ -68,15 +68,9 @@ def with_haze(environment, height):
 def clouded(environment):
     """Return the map of an even sky with the undersides of clouds drawn into it.
 
-    Parameters
-    ----------
-    environment : ndarray of shape (m, n, 3)
-        Map of the even sky.
-
-    Returns
-    -------
-    ndarray of shape (CLOUD_ROWS, 2 CLOUD_ROWS, 3), float32
-        Scaled so that level ground receives as much green light as before.
+    environment : array (m, n, 3). Map of the even sky.
+    Returns float32 array (CLOUD_ROWS, 2 CLOUD_ROWS, 3). Scaled so that level
+        ground receives as much green light as before.
     """
     row, column = np.indices((CLOUD_ROWS, 2 * CLOUD_ROWS)) / CLOUD_ROWS
     scale = environment.shape[0]
@@ -135,11 +129,9 @@ def _broad(noise, direction, above):
 def completed(radiance, known):
     """Return a sky map with unseen directions filled by an overcast sky, and the share known.
 
-    Parameters
-    ----------
-    radiance : ndarray of shape (rows, columns, 3), float32
-    known : ndarray of shape (rows, columns), bool
-        Where it is the captured sky. The fill is as bright as that, and goes over into it softly.
+    radiance : float32 array (rows, columns, 3)
+    known : bool array (rows, columns). Where it is the captured sky. The fill is
+        as bright as that, and goes over into it softly.
     """
     plain = overcast()
     above = directions()[..., 2] > 0
@@ -185,17 +177,10 @@ def brightest(environment):
 def sun_of(setting, environment):
     """Return the sun that a setting names, and a note on it or None.
 
-    Parameters
-    ----------
-    setting : tuple, "sky" or None
-        Azimuth and elevation [rad]; "sky": the brightest place of the map `environment`, if any;
-        None: no sun.
-
-    Returns
-    -------
-    sun : tuple or None
-        Azimuth and elevation [rad].
-    note : str or None
+    setting : tuple, "sky" or None. Azimuth and elevation [rad]; "sky": the
+        brightest place of the map `environment`, if any; None: no sun.
+    Returns sun : tuple or None. Azimuth and elevation [rad].
+        note : str or None
     """
     if setting != "sky":
         return setting, None

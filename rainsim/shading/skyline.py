@@ -40,16 +40,12 @@ def skylines(scene, prepared, first_camera, near, seen=None):
 
     Kept for the next run.
 
-    Parameters
-    ----------
-    scene : Scene
-    prepared : PreparedSplats
-        Of its splats.
-    first_camera : Camera
-        Of the frames, in the capture frame: from there it is seen if the scene has no cameras.
+    prepared : PreparedSplats. Of its splats.
+    first_camera : Camera. Of the frames, in the capture frame: from there it is
+        seen if the scene has no cameras.
     near : float [capture units]
-    seen : ndarray of shape (rows, columns), bool, optional
-        Where cameras saw the sky, see `surface.captured_sky.seen_sky`: there it is open.
+    seen : bool array (rows, columns), optional. Where cameras saw the sky, see
+        `surface.captured_sky.seen_sky`: there it is open.
     """
     places = places_of(scene, first_camera)
     parts = (False,) if prepared.leading is None else (False, True)
@@ -78,11 +74,7 @@ def skylines(scene, prepared, first_camera, near, seen=None):
 def opened(skyline, seen):
     """Return a skyline that is open where the capture's cameras saw the sky.
 
-    Parameters
-    ----------
-    skyline : Skyline
-    seen : ndarray of shape (rows, columns), bool
-        See `surface.captured_sky.seen_sky`.
+    seen : bool array (rows, columns). See `surface.captured_sky.seen_sky`.
     """
     rows, columns = seen.shape
     direction = directions(*skyline.open.shape)
@@ -97,14 +89,11 @@ def opened(skyline, seen):
 def seen_from(draw, places):
     """Return the `Skyline` of a capture.
 
-    Parameters
-    ----------
-    draw : callable
-        draw(camera) returns the picture (height, width, 4) that a ground-frame camera takes: colour
-        over black (display-referred) and alpha.
-    places : ndarray of shape (n, 3) [m]
-        From where it is seen, the first in the middle. What is open from one of them counts as
-        open, for the frames' cameras stand elsewhere.
+    draw : callable. draw(camera) returns the picture (height, width, 4) that a
+        ground-frame camera takes: colour over black (display-referred) and alpha.
+    places : array (n, 3) [m]. From where it is seen, the first in the middle.
+        What is open from one of them counts as open, for the frames' cameras
+        stand elsewhere.
     """
     (open_, thin), land = np.zeros((2, ROWS, COLUMNS), np.bool_), None
     for place in places:

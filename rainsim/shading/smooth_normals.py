@@ -74,22 +74,14 @@ def smooth_normal(depth, normal, row, column, rows, columns, focal, around):
 
     The pixel and eight others around it count, the less the more their depths differ.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (height, width), float32 [units]
-    normal : ndarray of shape (height, width, 3), float32
-        Unit, in the camera's frame.
+    depth : float32 array (height, width) [units]
+    normal : float32 array (height, width, 3). Unit, in the camera's frame.
     row, column : int
-    rows, columns : int
-        Of the part of the picture that was drawn.
+    rows, columns : int. Of the part of the picture that was drawn.
     focal : float32 [px]
-    around : float32 [units]
-        Radius of the neighbourhood.
-
-    Returns
-    -------
-    x, y, z : float32
-        Shorter than 1 where they differ, and at the edges of surfaces.
+    around : float32 [units]. Radius of the neighbourhood.
+    Returns x, y, z : float32. Shorter than 1 where they differ, and at the edges
+        of surfaces.
     """
     here = depth[row, column]
     step = step_of(focal, around, here)

@@ -20,13 +20,10 @@ from rainsim.shading.wet_pass import NO_DEPTH, DryPicture
 def find_surface_depth(dry: DryPicture, view: View, ground: GroundMaps, depth_out):
     """Write the depth at which each pixel's surface is wetted, see `seen_surface`.
 
-    Parameters
-    ----------
     dry : DryPicture
-    view : View
     ground : GroundMaps
-    depth_out : ndarray of shape (height, width), float32 [m]
-        Along the view axis, infinite for the sky.
+    depth_out : float32 array (height, width) [m]. Along the view axis, infinite
+        for the sky.
     """
     height, width = depth_out.shape
     turn, eye, normal, unit = (

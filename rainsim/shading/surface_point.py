@@ -58,30 +58,18 @@ class SurfacePoint(NamedTuple):
 def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
     """Return what a pixel of the capture shows: view direction, depths, cosine and place.
 
-    Parameters
-    ----------
-    turn : tuple of 9 float32
-        Of the camera, see `turn_of`.
+    turn : tuple of 9 float32. Of the camera, see `turn_of`.
     eye : tuple of 3 float32, or such an array [m]
-    a, b : float32
-        Slopes of the pixel's ray to the right and down.
-    normal : tuple of 3 float32
-        Unit, camera frame.
-    depth, plane_depth : float32 [m]
-        As splatted.
+    a, b : float32. Slopes of the pixel's ray to the right and down.
+    normal : tuple of 3 float32. Unit, camera frame.
+    depth, plane_depth : float32 [m]. As splatted.
     alpha : float32
     ground : GroundMaps
-
-    Returns
-    -------
-    x, y, z : float32
-        Unit direction of view, ground frame.
-    drawn : float32 [m]
-        Depth of what is drawn.
-    cosine : float32
-        Between the normal and the way back to the eye.
-    point : SurfacePoint
-        Where it is wetted; at the eye if the pixel shows no surface.
+    Returns x, y, z : float32. Unit direction of view, ground frame.
+        drawn : float32 [m]. Depth of what is drawn.
+        cosine : float32. Between the normal and the way back to the eye.
+        point : SurfacePoint. Where it is wetted; at the eye if the pixel shows no
+            surface.
     """
     x = turn[0] * a + turn[1] * b + turn[2]
     y = turn[3] * a + turn[4] * b + turn[5]
@@ -123,20 +111,14 @@ def heights_over(bed, z, inside, solid):
 def heights_of(point, solid, ground):
     """Return where a surface is over the ground.
 
-    Parameters
-    ----------
     point : SurfacePoint
-    solid : bool
-        Whether there is a surface at all.
+    solid : bool. Whether there is a surface at all.
     ground : GroundMaps
-
-    Returns
-    -------
-    clearance : float32 [m]
-        Height over the bed; FAR_AWAY without a surface, and off the map. Poorly known ground goes
-        on beyond the map as at its border.
-    height : float32 [m]
-        The same, but off the map the height over the ground plane.
+    Returns clearance : float32 [m]. Height over the bed; FAR_AWAY without a
+        surface, and off the map. Poorly known ground goes on beyond the map as at
+        its border.
+        height : float32 [m]. The same, but off the map the height over the ground
+            plane.
     """
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     inside = ground.thickest_layer > ZERO or is_on_map(u, v, ground.bed)
@@ -186,15 +168,12 @@ def on_bed(point, depth, drawn, x, y, z, ground):
     Splats of poor ground lie before or behind it. The ray that shows one shows the ground where it
     meets the bed, and the ground faces up.
 
-    Parameters
-    ----------
     point : SurfacePoint
-    depth, drawn : float32 [m]
-        Along the view axis: of the point, and of what is drawn.
-    x, y, z : float32
-        Way [m] along the ray for a metre of depth; the point is `depth` of it from the eye.
-    ground : GroundMaps
-        Its bed is poorly known.
+    depth, drawn : float32 [m]. Along the view axis: of the point, and of what is
+        drawn.
+    x, y, z : float32. Way [m] along the ray for a metre of depth; the point is
+        `depth` of it from the eye.
+    ground : GroundMaps. Its bed is poorly known.
     """
     eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)

@@ -44,11 +44,8 @@ def badly_placed(scene, views):
     High is above the mean of the cameras: what is lower is ground and what stands on it, and hides
     little sky.
 
-    Parameters
-    ----------
-    scene : Scene
-    views : Views or None
-        Of its splats; None: nothing is known, and no splat is taken to be badly placed.
+    views : Views or None. Of its splats; None: nothing is known, and no splat is
+        taken to be badly placed.
     """
     if views is None:
         return np.zeros(len(scene.splats), np.bool_)
@@ -124,20 +121,16 @@ def count_view(position, sh, view, eye, lens, depth, views_out, total_out):
     The weight falls with the fourth power of the luminance: the mean is that of the darker views,
     which have the least gloss.
 
-    Parameters
-    ----------
-    position : ndarray of shape (n, 3), float32 [capture units]
-    sh : ndarray of shape (n, k, 3), float32
-    view : ndarray of shape (3, 4), float32
-        Camera frame from capture frame.
-    eye : ndarray of shape (3,), float32 [capture units]
-    lens : ndarray of shape (4,), float32 [px]
-        fx, fy, cx, cy.
-    depth : ndarray of shape (height, width), float32 [capture units]
-        Of what the camera sees.
-    views_out : ndarray of shape (n,), uint8
-    total_out : ndarray of shape (n, 7), float32
-        Sums of weighted colours (3), of weights, and of unit directions to the cameras (3).
+    position : float32 array (n, 3) [capture units]
+    sh : float32 array (n, k, 3)
+    view : float32 array (3, 4). Camera frame from capture frame.
+    eye : float32 array (3,) [capture units]
+    lens : float32 array (4,) [px]. fx, fy, cx, cy.
+    depth : float32 array (height, width) [capture units]. Of what the camera
+        sees.
+    views_out : uint8 array (n,)
+    total_out : float32 array (n, 7). Sums of weighted colours (3), of weights,
+        and of unit directions to the cameras (3).
     """
     height, width = depth.shape
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]

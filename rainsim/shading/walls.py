@@ -48,17 +48,13 @@ def damp_off_ground(rain, point, height, body, noisy):
     and all walls in calm air, stay dry above that. The sum is an even dampness. A wall that is not
     wet through varies along the paths of the water that runs down.
 
-    Parameters
-    ----------
     rain : wetness.OffGroundWetness
-    point : surface_point.SurfacePoint
-        Its distance decides whether the paths are seen.
-    height : float32 [m]
-        Over the ground.
-    body : float32
-        How surely it belongs to a smooth body, see `bodies`.
-    noisy : bool
-        Whether the normal is that of a capture whose splats are no surface.
+    point : surface_point.SurfacePoint. Its distance decides whether the paths are
+        seen.
+    height : float32 [m]. Over the ground.
+    body : float32. How surely it belongs to a smooth body, see `bodies`.
+    noisy : bool. Whether the normal is that of a capture whose splats are no
+        surface.
     """
     nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
     slant = -(nx * rain.slant_x + ny * rain.slant_y)

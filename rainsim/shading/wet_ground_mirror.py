@@ -119,10 +119,8 @@ def in_level_picture(prepared, terrain, frame):
 def level_camera(view):
     """Return the level, upright camera (ground frame) that sees the reflections in wet ground.
 
-    Parameters
-    ----------
-    view : Camera
-        In the ground frame. The level one has at most RESOLUTION pixels per unit of tangent.
+    view : Camera. In the ground frame. The level one has at most RESOLUTION
+        pixels per unit of tangent.
     """
     turn = view.camera_from_world[:3, :3]
     e, n, _ = turn[2].tolist()
@@ -158,21 +156,14 @@ def mirrored_field(
 
     Every block counts as ground, whatever stands before it: so the field is smooth.
 
-    Parameters
-    ----------
-    view : View
-    step : int [px]
-        Side of the blocks.
-    wanted : ndarray of shape (rows, columns), bool
-        Blocks that show wet ground, or have a neighbour that does.
+    step : int [px]. Side of the blocks.
+    wanted : bool array (rows, columns). Blocks that show wet ground, or have a
+        neighbour that does.
     ground : GroundSlopes
-    lobe : ndarray
-        LOBE.
+    lobe : ndarray. LOBE.
     level : LevelPicture
-    environment : ndarray of shape (m, 2 m, 3), float32
-        Mirrored where that picture ends.
-    field_out : ndarray of shape (rows, columns, 3), float32
-        Radiance; zero where not wanted.
+    environment : float32 array (m, 2 m, 3). Mirrored where that picture ends.
+    field_out : float32 array (rows, columns, 3). Radiance; zero where not wanted.
     """
     rows, columns = wanted.shape
     taken = none_taken()
@@ -192,13 +183,9 @@ def mirrored_field(
 def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
     """Return the radiance that a water film on the ground mirrors to the eye.
 
-    Parameters
-    ----------
-    x, y, z : float32
-        Direction of view.
-    eye : ndarray of shape (3,), float32 [m]
-    ground, lobe, level, environment
-        As `mirrored_field` takes them.
+    x, y, z : float32. Direction of view.
+    eye : float32 array (3,) [m]
+    ground, lobe, level, environment. As `mirrored_field` takes them.
     """
     lens, forward, depth, atlas = level.lens, level.forward, level.depth, level.atlas
     ux, uy, dip, span, here, gx, gy, slope = ground_met(x, y, z, eye, ground)
@@ -259,14 +246,12 @@ def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
 def add_reflection(bare, cover, field, step, picture_out):
     """Add the light that wet ground mirrors to a picture without it.
 
-    Parameters
-    ----------
-    bare : ndarray of shape (height, width, 3), float32
-    cover : ndarray of shape (height, width), float32
-        Share of a full water film in each pixel.
-    field : ndarray of shape (rows, columns, 3), float32
-        As `mirrored_field` makes it, of blocks of `step` pixels.
-    picture_out : ndarray of shape (height, width, 3), float32
+    bare : float32 array (height, width, 3)
+    cover : float32 array (height, width). Share of a full water film in each
+        pixel.
+    field : float32 array (rows, columns, 3). As `mirrored_field` makes it, of
+        blocks of `step` pixels.
+    picture_out : float32 array (height, width, 3)
     """
     height, width = cover.shape
     scale = ONE / np.float32(step)
@@ -300,16 +285,9 @@ def field_at(field, scale, row, column):
 class WetGroundMirror:
     """Adds the light that wet ground mirrors to the pictures of one camera after another.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    config : RenderConfig
-        Its `film` and `reflections` name the method.
-
-    Attributes
-    ----------
-    drawn : bool
-        Whether the level picture is drawn; without it ground mirrors the environment only.
+    config : RenderConfig. Its `film` and `reflections` name the method.
+    drawn : bool. Whether the level picture is drawn; without it ground mirrors
+        the environment only.
     """
 
     def __init__(self, terrain, config):
@@ -337,19 +315,14 @@ class WetGroundMirror:
     def add_to(self, wet, cover, camera, draw_mirrored, environment):
         """Return a wet picture with the reflections in its wet ground.
 
-        Parameters
-        ----------
-        wet : WetPicture
-            Without them.
-        cover : ndarray of shape (height, width), float32
-            Share of a full water film in each pixel.
-        camera : Camera
-            Of the picture, in the ground frame.
-        draw_mirrored : callable
-            draw_mirrored(camera) returns the `WetPicture` of what stands on the ground, as a
-            ground-frame camera mirrored at the ground plane takes it.
-        environment : ndarray of shape (m, 2 m, 3), float32
-            Mirrored where that picture ends.
+        wet : WetPicture. Without them.
+        cover : float32 array (height, width). Share of a full water film in each
+            pixel.
+        camera : Camera. Of the picture, in the ground frame.
+        draw_mirrored : callable. draw_mirrored(camera) returns the `WetPicture`
+            of what stands on the ground, as a ground-frame camera mirrored at the
+            ground plane takes it.
+        environment : float32 array (m, 2 m, 3). Mirrored where that picture ends.
         """
         if not cover.any():
             return wet
@@ -361,10 +334,8 @@ class WetGroundMirror:
     def choose(self, shares):
         """Decide whether wet ground mirrors enough light for a level picture; return a note.
 
-        Parameters
-        ----------
-        shares : iterable of float
-            Of the light in some views that wet ground mirrors; read until one is worth it.
+        shares : iterable of float. Of the light in some views that wet ground
+            mirrors; read until one is worth it.
         """
         most = 0.0
         for share in shares:
@@ -419,10 +390,8 @@ def _level_picture(camera, draw_mirrored):
 def wet_blocks(cover, step, wanted_out):
     """Find the blocks of `step` pixels that show wet ground or have a neighbour that does.
 
-    Parameters
-    ----------
-    cover : ndarray of shape (height, width), float32
-    wanted_out : ndarray of shape (rows, columns), bool
+    cover : float32 array (height, width)
+    wanted_out : bool array (rows, columns)
     """
     (height, width), (rows, columns) = cover.shape, wanted_out.shape
     for j in prange(rows):
@@ -479,14 +448,9 @@ def usual_share(table, x, y, z):
 def reflected_share(cover, view: View, table, total_out):
     """Sum the shares of light that wet ground mirrors, of every eighth pixel of every eighth row.
 
-    Parameters
-    ----------
-    cover : ndarray of shape (height, width), float32
-    view : View
-    table : ndarray of shape (SHARES,), float32
-        As `usual_shares` returns it.
-    total_out : ndarray of shape (rows,), float64
-        A sum for each of these rows.
+    cover : float32 array (height, width)
+    table : float32 array (SHARES,). As `usual_shares` returns it.
+    total_out : float64 array (rows,). A sum for each of these rows.
     """
     for j in prange(len(total_out)):
         row = np.int64(j) * COARSE

@@ -103,23 +103,17 @@ def grade_and_wet(
 ):  # fmt: skip
     """Grade the dry picture, wet it, and measure it against the ground.
 
-    Parameters
-    ----------
     dry : DryPicture
-    view : View
     ground : GroundMaps
     rain : OffGroundWetness
     sky : SkyMaps
-    look : Look
-    picture_out : ndarray of shape (height, width, 3), float32
-        Radiance.
-    depth_out : ndarray of shape (height, width), float32 [m]
-        Infinite for the sky.
-    clearance_out : ndarray of shape (height, width), float32 [m]
-        Height above the bed; FAR_AWAY off the map and for the sky.
-    cover_out : ndarray of shape (height, width) or (0, 0), float32
-        Share of a full water film on the ground, whose reflection is then left out of the picture:
-        the wet-ground mirror adds it. If empty, the ground glosses as all else does.
+    picture_out : float32 array (height, width, 3). Radiance.
+    depth_out : float32 array (height, width) [m]. Infinite for the sky.
+    clearance_out : float32 array (height, width) [m]. Height above the bed;
+        FAR_AWAY off the map and for the sky.
+    cover_out : array (height, width) or (0, 0), float32. Share of a full water
+        film on the ground, whose reflection is then left out of the picture: the
+        wet-ground mirror adds it. If empty, the ground glosses as all else does.
     """
     height, width = depth_out.shape
     mirror_apart = cover_out.shape[0] > 0

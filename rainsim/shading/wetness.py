@@ -86,15 +86,10 @@ def evaporation_rate(config):
 def dampness(config, film, porosity, reach=1.0):
     """Return how wet a level surface looks, 0 dry to 1 wet through.
 
-    Parameters
-    ----------
-    config : Config
-        Of one time.
-    film : float or ndarray [m]
-        Depth of the water film that the surface holds.
+    config : Config. Of one time.
+    film : float or ndarray [m]. Depth of the water film that the surface holds.
     porosity : float or ndarray
-    reach : float or ndarray
-        Share of the rain that reaches it.
+    reach : float or ndarray. Share of the rain that reaches it.
     """
     film = np.maximum(film, LEAST_FILM)
     reach = SPRAY + (1 - SPRAY) * np.asarray(reach)
@@ -117,15 +112,9 @@ def film_left(config, film):
 def ground_wetness(terrain, grass, reach, config):
     """Return how wet each ground cell is, (ny, nx, 4) float32: the fields of `Wetness`.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    grass : ndarray of shape (ny, nx), float32
-        Share of grass.
-    reach : ndarray of shape (ny, nx), float32
-        Share of the rain that reaches the ground.
-    config : Config
-        Of one time.
+    grass : float32 array (ny, nx). Share of grass.
+    reach : float32 array (ny, nx). Share of the rain that reaches the ground.
+    config : Config. Of one time.
     """
     found = np.empty((*reach.shape, len(Wetness._fields)), np.float32)
     for first in range(0, len(reach), ROWS):  # by parts, for memory
@@ -142,17 +131,9 @@ def ground_wetness(terrain, grass, reach, config):
 def thin_film(ground_out, tracks):
     """Thin the film of ground cells where tyres have passed, in place; the pores stay wet.
 
-    Parameters
-    ----------
-    ground_out : ndarray of shape (ny, nx, 4), float32
-        See `ground_wetness`.
-    tracks : ndarray of shape (ny, nx), uint8
-        How full the film is, of 255.
-
-    Returns
-    -------
-    slice
-        Rows that have changed; tyres touch few rows of a map.
+    ground_out : float32 array (ny, nx, 4). See `ground_wetness`.
+    tracks : uint8 array (ny, nx). How full the film is, of 255.
+    Returns slice. Rows that have changed; tyres touch few rows of a map.
     """
     thinned = np.flatnonzero(tracks.min(axis=1) < 255)
     rows = slice(thinned[0], thinned[-1] + 1) if thinned.size else slice(0, 0)

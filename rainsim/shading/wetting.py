@@ -179,18 +179,13 @@ def body_of(point, clearance, ground):
 def wetted_normal(r, g, b, height, point, around, layer):
     """Return the normal by which a surface gets wet and mirrors; see `smooth_normals`.
 
-    Parameters
-    ----------
-    r, g, b : float32
-        Captured linear colour: leaves keep their own normals.
-    height : float32 [m]
-        Over the ground.
-    point : SurfacePoint
-        With the pixel's own normal.
-    around : tuple of 3 float32
-        Mean of its neighbourhood, the shorter the more normals differ there.
-    layer : float32 [m]
-        Thickness of the splats about a bed that is poorly known, 0 elsewhere.
+    r, g, b : float32. Captured linear colour: leaves keep their own normals.
+    height : float32 [m]. Over the ground.
+    point : SurfacePoint. With the pixel's own normal.
+    around : tuple of 3 float32. Mean of its neighbourhood, the shorter the more
+        normals differ there.
+    layer : float32 [m]. Thickness of the splats about a bed that is poorly known,
+        0 elsewhere.
     """
     x, y, z = around
     square = x * x + y * y + z * z
@@ -269,33 +264,20 @@ def rainy_color(r, g, b, alpha, sine, cosine, upness, height, level, wet, look):
     thing; what it mirrors does not reach what is below, so that in white surroundings nothing is
     brighter than white.
 
-    Parameters
-    ----------
-    r, g, b : float32
-        Captured linear colour, see `undiluted`.
-    alpha : float32
-        Share of the pixel that the surface covers.
-    sine : float32
-        Of the elevation that the surface is seen at.
-    cosine : float32
-        Between its normal and the way back to the eye.
-    upness : float32
-        Cosine between its normal and the vertical.
-    height : float32 [m]
-        Over the ground.
-    level : float32
-        How surely it is the ground, see `ground_share`.
+    r, g, b : float32. Captured linear colour, see `undiluted`.
+    alpha : float32. Share of the pixel that the surface covers.
+    sine : float32. Of the elevation that the surface is seen at.
+    cosine : float32. Between its normal and the way back to the eye.
+    upness : float32. Cosine between its normal and the vertical.
+    height : float32 [m]. Over the ground.
+    level : float32. How surely it is the ground, see `ground_share`.
     wet : Wetness
-    look : Look
-
-    Returns
-    -------
-    r, g, b : float32
-        Radiance that the surface adds to the pixel, without gloss.
-    gloss, through : float32
-        Weights of the mirrored surroundings and of the sky behind.
-    smooth : float32
-        How far the gloss is that of a leaf, 0 to 1, or MIRROR, see `glossed`.
+    Returns r, g, b : float32. Radiance that the surface adds to the pixel,
+        without gloss.
+        gloss, through : float32. Weights of the mirrored surroundings and of the
+            sky behind.
+        smooth : float32. How far the gloss is that of a leaf, 0 to 1, or MIRROR,
+            see `glossed`.
     """
     gloss, smooth = ZERO, ZERO
     r, g, b = graded(r, g, b, look)
@@ -350,32 +332,21 @@ def glossed(x, y, z, cosine, nx, ny, nz, smooth):
 def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_apart):
     """Return the radiance of a captured point in the rain: all formulas put together.
 
-    Parameters
-    ----------
-    color : tuple of 3 float32
-        Display-referred, over black.
+    color : tuple of 3 float32. Display-referred, over black.
     alpha : float32
-    ray : tuple of 3 float32
-        Unit direction of view.
-    point : SurfacePoint
-        Where it is wetted.
-    around : tuple of 3 float32
-        Unit normal of the neighbourhood, see `smooth_normals`; or the point's own.
+    ray : tuple of 3 float32. Unit direction of view.
+    point : SurfacePoint. Where it is wetted.
+    around : tuple of 3 float32. Unit normal of the neighbourhood, see
+        `smooth_normals`; or the point's own.
     ground : GroundMaps
     rain : OffGroundWetness
     sky : SkyMaps
-    look : Look
-    mirror_apart : bool
-        Whether level ground's reflection is left out, since the wet-ground mirror adds it.
-
-    Returns
-    -------
-    r, g, b : float32
-        Radiance.
-    clearance : float32 [m]
-        See `heights_of`.
-    cover : float32
-        Share of a full water film, for the wet-ground mirror; 0 unless `mirror_apart`.
+    mirror_apart : bool. Whether level ground's reflection is left out, since the
+        wet-ground mirror adds it.
+    Returns r, g, b : float32. Radiance.
+        clearance : float32 [m]. See `heights_of`.
+        cover : float32. Share of a full water film, for the wet-ground mirror; 0
+            unless `mirror_apart`.
     """
     x, y, z = ray
     clearance, height = heights_of(point, alpha >= SURFACE_ALPHA, ground)

@@ -54,16 +54,10 @@ WORTH = 0.8  # of a group's splats at the level before: with more, a level is le
 class Level(NamedTuple):
     """Which splats are merged at a level, and where it is written.
 
-    Attributes
-    ----------
-    side : float32 [capture units]
-        Of its cells.
-    number, count : ndarray
-        As `find_cells` writes them.
-    wanted : ndarray of shape (m,), int64
-        Groups that have the level.
-    start : ndarray of shape (m + 1,), int64
-        First chunk of each of them.
+    side : float32 [capture units]. Of its cells.
+    number, count : ndarray. As `find_cells` writes them.
+    wanted : int64 array (m,). Groups that have the level.
+    start : int64 array (m + 1,). First chunk of each of them.
     """
 
     side: np.float32
@@ -81,23 +75,17 @@ class Level(NamedTuple):
 class Detail:
     """Levels of detail of prepared splats, whose colours may change.
 
-    Parameters
-    ----------
-    prepared : PreparedSplats
-        Without levels.
-    sides : sequence of float [capture units]
-        Of the cells of each level, ascending.
-    group : int
-        Chunks whose level is chosen together; a cell's splats are merged within them.
-    worth : float
-        A group has a level if it keeps at most this share of the splats of the level before.
-
-    Attributes
-    ----------
-    drawn : PreparedSplats
-        The splats with their levels before them. Its `order` is -1 at places that no splat fills,
-        and at a merged splat the index of one of those that it stands for. What does not lie in
-        leading chunks has no levels.
+    prepared : PreparedSplats. Without levels.
+    sides : sequence of float [capture units]. Of the cells of each level,
+        ascending.
+    group : int. Chunks whose level is chosen together; a cell's splats are merged
+        within them.
+    worth : float. A group has a level if it keeps at most this share of the
+        splats of the level before.
+    drawn : PreparedSplats. The splats with their levels before them. Its `order`
+        is -1 at places that no splat fills, and at a merged splat the index of
+        one of those that it stands for. What does not lie in leading chunks has
+        no levels.
     """
 
     def __init__(self, prepared, sides, group=GROUP, worth=WORTH):
@@ -138,16 +126,10 @@ class Detail:
     def coarsest(self):
         """Return the splats of the last level alone, one for each row.
 
-        Returns
-        -------
-        rows : ndarray of shape (n, 13), float32
-            Geometry, as in `laid_out`.
-        values : ndarray of shape (n, 3 k), float32
-            Harmonics.
-        order : ndarray of shape (n,), int32
-            As in `drawn`.
-        merged : ndarray of shape (n,), bool
-            Whether each stands for several.
+        Returns rows : float32 array (n, 13). Geometry, as in `laid_out`.
+            values : float32 array (n, 3 k). Harmonics.
+            order : int32 array (n,). As in `drawn`.
+            merged : bool array (n,). Whether each stands for several.
         """
         level, end = self._levels[-1], self._levels[-1].start[-1]  # it lies before the others
         rows = by_splat(self.drawn.geometry[:end].reshape(-1, GEOMETRY, LANES))
@@ -237,17 +219,10 @@ def coarsest_level(prepared, side):
 def merge_fine(prepared, side):
     """Return prepared splats of which those finer than a cell are one a cell and way they face.
 
-    Parameters
-    ----------
     prepared : PreparedSplats
-    side : float [capture units]
-        Of the cells. A splat is fine if the squares of its deviations along its three axes add up
-        to less than the square of it.
-
-    Returns
-    -------
-    PreparedSplats
-        `order` names one of the splats that each stands for.
+    side : float [capture units]. Of the cells. A splat is fine if the squares of
+        its deviations along its three axes add up to less than the square of it.
+    Returns PreparedSplats. `order` names one of the splats that each stands for.
     """
     if not len(prepared):
         return prepared

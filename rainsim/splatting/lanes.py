@@ -60,12 +60,8 @@ def _data(context, builder, signature, arguments, k):
 class _Tools:
     """Arithmetic on vectors of sixteen numbers, and on a splat's record.
 
-    Parameters
-    ----------
-    builder : llvmlite.ir.IRBuilder
-        Each call appends instructions at its end.
-    record : llvmlite.ir.Value, optional
-        Where the records of the splats lie.
+    builder : llvmlite.ir.IRBuilder. Each call appends instructions at its end.
+    record : llvmlite.ir.Value, optional. Where the records of the splats lie.
     """
 
     def __init__(self, builder, record=None):
@@ -174,12 +170,9 @@ def meets_blocks(typingctx, record, splat, x, y):
     centre d and the ellipse, which reaches R sqrt(g.d) along g, ends before the block begins, at
     g.d less BLOCK_HALF (|gx| + |gy|).
 
-    Parameters
-    ----------
-    record : ndarray of shape (n, 16), float32
+    record : float32 array (n, 16)
     splat : int64
-    x, y : float32
-        Image point at the middle of the tile's first block.
+    x, y : float32. Image point at the middle of the tile's first block.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -227,13 +220,11 @@ def prefetch(typingctx, record, splat):
 def put_chosen(typingctx, bits, number, k, block, chosen, place):
     """Write the numbers of the splats, of sixteen, that a block has to blend; return how many.
 
-    Parameters
-    ----------
-    bits, number : ndarray of uint32
-        From `k` on: the masks of sixteen splats, as `meets_blocks` returns them, and their numbers.
+    bits, number : uint32 array. From `k` on: the masks of sixteen splats, as
+        `meets_blocks` returns them, and their numbers.
     k, block : int64
-    chosen : ndarray of uint32
-        From `place` on sixteen numbers are written, of which only the first are valid.
+    chosen : uint32 array. From `place` on sixteen numbers are written, of which
+        only the first are valid.
     place : int64
     """
 
@@ -263,23 +254,19 @@ def blend_lanes(typingctx, record, chosen, first, last, state, at, x, y, halfway
 
     Returns whether more than TRANSMITTANCE_STOP of the light passes in any of them.
 
-    Parameters
-    ----------
-    record : ndarray of shape (n, 16), float32
-        See `rainsim.splatting.project`.
-    chosen : ndarray of uint32
+    record : float32 array (n, 16). See `rainsim.splatting.project`.
+    chosen : uint32 array
     first, last : int64
-    state : ndarray of shape (m,), float32
-        From `at` on: nine rows of sixteen numbers, modified in place.
+    state : float32 array (m,). From `at` on: nine rows of sixteen numbers,
+        modified in place.
     at : int64
-    x, y : float32
-        Image point of the first pixel; the others follow in rows of four.
-    halfway : literal int
-        1: the depth row gets, as bits, one more than the number of the record that brings the
-        transmittance to 0.5.
-    drop : literal int
-        1: a splat that would bring the transmittance to LAST_LIGHT is left out, and the pixel ends:
-        its transmittance is negative from then on.
+    x, y : float32. Image point of the first pixel; the others follow in rows of
+        four.
+    halfway : literal int. 1: the depth row gets, as bits, one more than the
+        number of the record that brings the transmittance to 0.5.
+    drop : literal int. 1: a splat that would bring the transmittance to
+        LAST_LIGHT is left out, and the pixel ends: its transmittance is negative
+        from then on.
     """
     if not all(isinstance(rule, types.IntegerLiteral) for rule in (halfway, drop)):
         return None

@@ -30,15 +30,12 @@ def resolved(reach, frustum):
 def is_drawn(span, reach, frustum, detail):
     """Return whether a chunk is at the level of detail that a picture draws.
 
-    Parameters
-    ----------
-    span : ndarray of shape (2,), float32 [world units]
-        Sizes from which on and below which it is.
-    reach : ndarray of shape (6,), float32 [world units]
-        Lowest and highest x, y, z of the centres of its group.
-    frustum : Frustum
-    detail : float32 [px]
-        Size of what the picture does not resolve; 0: the finest level is drawn.
+    span : float32 array (2,) [world units]. Sizes from which on and below which
+        it is.
+    reach : float32 array (6,) [world units]. Lowest and highest x, y, z of the
+        centres of its group.
+    detail : float32 [px]. Size of what the picture does not resolve; 0: the
+        finest level is drawn.
     """
     side = detail * resolved(reach, frustum)
     return span[0] <= side and side < span[1]
@@ -48,13 +45,9 @@ def is_drawn(span, reach, frustum, detail):
 def choose_levels(span, reach, frustum: Frustum, detail, seen_out):
     """Unmark the chunks of levels that are not drawn, see `prepared.PreparedSplats.span`.
 
-    Parameters
-    ----------
-    span, reach : ndarray of shape (chunks, 2) and (chunks, 6), float32
-    frustum : Frustum
-    detail : float32 [px]
-        What the picture resolves; 0: all splats are drawn.
-    seen_out : ndarray of shape (chunks,), bool
+    span, reach : array (chunks, 2) and (chunks, 6), float32
+    detail : float32 [px]. What the picture resolves; 0: all splats are drawn.
+    seen_out : bool array (chunks,)
     """
     for chunk in prange(len(span)):
         if seen_out[chunk]:

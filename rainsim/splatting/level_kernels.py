@@ -37,18 +37,14 @@ def area_of(xx, xy, xz, yy, yz, zz):
 def measure_groups(geometry, leading, size, count_out, reach_out, weight_out):
     """Count the splats of each group, write the box of most centres, and weigh each splat.
 
-    Parameters
-    ----------
-    geometry : ndarray of shape (chunks, 13 * 256), float32
-    leading : int
-        Chunks that are looked at.
-    size : int
-        Chunks of a group.
-    count_out : ndarray of shape (groups,), int64
-    reach_out : ndarray of shape (groups, 6), float32 [capture units]
-        The box leaves out a share `ASIDE` of the centres on each side.
-    weight_out : ndarray of shape (256 leading,), float32 [capture units^2]
-        Light that each splat stops: its opacity times a measure of its area.
+    geometry : float32 array (chunks, 13 * 256)
+    leading : int. Chunks that are looked at.
+    size : int. Chunks of a group.
+    count_out : int64 array (groups,)
+    reach_out : float32 array (groups, 6) [capture units]. The box leaves out a
+        share `ASIDE` of the centres on each side.
+    weight_out : float32 array (256 leading,) [capture units^2]. Light that each
+        splat stops: its opacity times a measure of its area.
     """
     for group in prange(len(count_out)):
         place = np.empty((3, size * LANES), np.float32)
@@ -79,18 +75,14 @@ def measure_groups(geometry, leading, size, count_out, reach_out, weight_out):
 def find_cells(geometry, leading, size, side, number_out, count_out):
     """Number the cells of each group that hold several fine splats that face one way.
 
-    Parameters
-    ----------
-    geometry : ndarray of shape (chunks, 13 * 256), float32
-    leading : int
-        Chunks that are looked at.
-    size : int
-        Chunks of a group.
+    geometry : float32 array (chunks, 13 * 256)
+    leading : int. Chunks that are looked at.
+    size : int. Chunks of a group.
     side : float32 [capture units]
-    number_out : ndarray of shape (256 leading,), int16
-        Number of the merged splat in its group; ALONE for a splat that is kept, NOTHING for none.
-    count_out : ndarray of shape (groups, 2), int64
-        Splats that each group keeps, and merged ones.
+    number_out : int16 array (256 leading,). Number of the merged splat in its
+        group; ALONE for a splat that is kept, NOTHING for none.
+    count_out : int64 array (groups, 2). Splats that each group keeps, and merged
+        ones.
     """
     for group in prange(len(count_out)):
         many = size * CHUNK_SLOTS
@@ -179,17 +171,12 @@ def merge_shapes(
 ):  # fmt: skip
     """Write the splats of a level: of each wanted group those that it keeps, then the merged ones.
 
-    Parameters
-    ----------
-    geometry, order : ndarray
-        See `prepared.PreparedSplats`.
-    weight : ndarray of shape (256 leading,), float32
+    geometry, order : ndarray. See `prepared.PreparedSplats`.
+    weight : float32 array (256 leading,)
     leading, size : int
-    wanted, number, count, start : ndarray
-        See `detail.Level`.
-    geometry_out : ndarray of shape (chunks, 13 * 256), float32
-    order_out : ndarray of shape (256 chunks,), int32
-        Written only where there is a splat.
+    wanted, number, count, start : ndarray. See `detail.Level`.
+    geometry_out : float32 array (chunks, 13 * 256)
+    order_out : int32 array (256 chunks,). Written only where there is a splat.
     """
     for w in prange(len(wanted)):
         group = wanted[w]
@@ -235,19 +222,15 @@ def merge_colors(
 ):  # fmt: skip
     """Write the harmonics of the splats of all levels, in the order of `merge_shapes`.
 
-    Parameters
-    ----------
-    sh, fine, step : ndarray
-        See `prepared.PreparedSplats`.
-    weight : ndarray of shape (256 leading,), float32
+    sh, fine, step : ndarray. See `prepared.PreparedSplats`.
+    weight : float32 array (256 leading,)
     leading, size : int
-    number : ndarray of shape (levels, 256 leading), int16
-    count : ndarray of shape (levels, groups, 2), int64
-        As `find_cells` writes them.
-    place : ndarray of shape (levels, groups), int64
-        First chunk of each group at each level, -1 if it does not have that level.
-    sh_out, fine_out, step_out : ndarray
-        As those that are read. Only the chunks of levels are written.
+    number : int16 array (levels, 256 leading)
+    count : int64 array (levels, groups, 2). As `find_cells` writes them.
+    place : int64 array (levels, groups). First chunk of each group at each level,
+        -1 if it does not have that level.
+    sh_out, fine_out, step_out : ndarray. As those that are read. Only the chunks
+        of levels are written.
     """
     coarse, more = sh.shape[1] // LANES, step.shape[1]
     for group in prange(count.shape[1]):
@@ -320,11 +303,9 @@ def add_scaled(value, share, unit, coarse, total_out):
 def pack_fine(rows, k, fine_out):
     """Write column k of a chunk's harmonics above degree 1 as 16-bit integers; return the factor.
 
-    Parameters
-    ----------
-    rows : ndarray of shape (256, n), float32
+    rows : float32 array (256, n)
     k : int
-    fine_out : ndarray of shape (256,), int16
+    fine_out : int16 array (256,)
     """
     column, most = np.empty(LANES, np.float32), ZERO
     for i in range(LANES):
@@ -395,12 +376,8 @@ def thin_axis(covariance, normal):
     the mean normal: it stays where the splat is as thick in all directions, and turns where walls
     about a lid became a flat splat.
 
-    Parameters
-    ----------
-    covariance : ndarray of shape (6,), float64
-        xx, xy, xz, yy, yz, zz.
-    normal : tuple of float
-        Unit vector.
+    covariance : float64 array (6,). xx, xy, xz, yy, yz, zz.
+    normal : tuple of float. Unit vector.
     """
     xx, xy, xz, yy, yz, zz = covariance
     a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy  # the adjugate

@@ -19,16 +19,9 @@ _ARRAYS = ("geometry", "sh", "fine", "step", "box")
 class Merger:
     """Puts actors before a static set, one moment after another.
 
-    Parameters
-    ----------
     static : PreparedSplats
-    most : int
-        Splats of all actors together, at most.
-
-    Attributes
-    ----------
-    static : PreparedSplats
-        The static set, in the memory that merged sets share.
+    most : int. Splats of all actors together, at most.
+    static : PreparedSplats. The static set, in the memory that merged sets share.
     """
 
     def __init__(self, static, most):
@@ -50,12 +43,10 @@ class Merger:
     def merged(self, actors, first):
         """Return the static set with prepared actors before it; overwritten by the next call.
 
-        Parameters
-        ----------
-        actors : PreparedSplats or None
-            Harmonics of the same degree as the static set's.
-        first : int
-            Index that the actors' first splat has in the merged scene: the static set's length.
+        actors : PreparedSplats or None. Harmonics of the same degree as the
+            static set's.
+        first : int. Index that the actors' first splat has in the merged scene:
+            the static set's length.
         """
         if actors is None or not len(actors):
             return self.static

@@ -31,35 +31,31 @@ NOBODY = -1  # in `order`: a place that no splat fills
 class PreparedSplats:
     """A scene's splats in the order and layout that projection wants.
 
-    Attributes
-    ----------
-    geometry : ndarray of shape (chunks, 13 * 256), float32
-        In each chunk 13 runs of 256: position x, y, z [capture units]; covariance xx, xy, xz, yy,
-        yz, zz; the thinnest axis x, y, z, sign free; log2 of the opacity (-inf for the places left
-        over).
-    sh : ndarray of shape (chunks, 3 k * 256), float32
-        In each chunk 3 k runs of 256, k = 1 or 4: the three channels of a spherical harmonic one
-        after the other, up to degree 1.
-    fine : ndarray of shape (chunks, 3 m * 256), int16
-        The harmonics above, m = 0, 5 or 12, in the same way; to be multiplied by `step`.
-    step : ndarray of shape (chunks, 3 m), float32
-        A factor per run of `fine`.
-    box : ndarray of shape (chunks, 6), float32 [capture units]
-        Lowest and highest x, y, z that any splat of the chunk reaches.
-    order : ndarray of shape (n,), int32
-        Index of each prepared splat in the scene it came from.
-    leading : int or None
-        Number of the first chunks, which hold all splats but those that were to come last; None:
-        all chunks.
-    compensate : bool
-        Whether all pictures weaken splats that the low-pass widens.
-    span : ndarray of shape (chunks, 2), float32 [capture units], or None
-        With levels of detail: the chunk is drawn where what the picture resolves is at least the
+    geometry : float32 array (chunks, 13 * 256). In each chunk 13 runs of 256:
+        position x, y, z [capture units]; covariance xx, xy, xz, yy, yz, zz; the
+        thinnest axis x, y, z, sign free; log2 of the opacity (-inf for the places
+        left over).
+    sh : float32 array (chunks, 3 k * 256). In each chunk 3 k runs of 256, k = 1
+        or 4: the three channels of a spherical harmonic one after the other, up
+        to degree 1.
+    fine : int16 array (chunks, 3 m * 256). The harmonics above, m = 0, 5 or 12,
+        in the same way; to be multiplied by `step`.
+    step : float32 array (chunks, 3 m). A factor per run of `fine`.
+    box : float32 array (chunks, 6) [capture units]. Lowest and highest x, y, z
+        that any splat of the chunk reaches.
+    order : int32 array (n,). Index of each prepared splat in the scene it came
+        from.
+    leading : int or None. Number of the first chunks, which hold all splats but
+        those that were to come last; None: all chunks.
+    compensate : bool. Whether all pictures weaken splats that the low-pass
+        widens.
+    span : float32 array (chunks, 2) [capture units], or None. With levels of
+        detail: the chunk is drawn where what the picture resolves is at least the
         first number and less than the second. None: all chunks are drawn.
-    reach : ndarray of shape (chunks, 6), float32 [capture units], or None
-        Lowest and highest x, y, z of the centres of the group whose level the chunk is.
-    written : ndarray of shape (chunks,), int64, or None
-        Of a room for chunks: how often each place was written. None: all stay as they are.
+    reach : float32 array (chunks, 6) [capture units], or None. Lowest and highest
+        x, y, z of the centres of the group whose level the chunk is.
+    written : int64 array (chunks,), or None. Of a room for chunks: how often each
+        place was written. None: all stay as they are.
     """
 
     geometry: np.ndarray
@@ -137,14 +133,10 @@ def turn(prepared, normal, share):
 
     A splat's own normal is its thinnest axis, which tells little of a thick one.
 
-    Parameters
-    ----------
-    prepared : PreparedSplats
-        Its `order` says which splat a place shows.
-    normal : ndarray of shape (n, 3), float32
-        Unit, in the capture frame, of the scene's splats; either way along them.
-    share : ndarray of shape (n,), float32
-        0 keeps a splat's own normal, 1 takes the other.
+    prepared : PreparedSplats. Its `order` says which splat a place shows.
+    normal : float32 array (n, 3). Unit, in the capture frame, of the scene's
+        splats; either way along them.
+    share : float32 array (n,). 0 keeps a splat's own normal, 1 takes the other.
     """
     geometry = prepared.geometry.reshape(-1, GEOMETRY, LANES)
     _turn(geometry, prepared.order, normal, share)
@@ -180,16 +172,12 @@ def select(prepared, keep):
 def laid_out(rows, values, which, order):
     """Return the `PreparedSplats` of n splats that have the order they are to be kept in.
 
-    Parameters
-    ----------
-    rows : ndarray of shape (n, 13), float32
-        Geometry of each splat, in the order of `PreparedSplats.geometry`.
-    values : ndarray of shape (m, 3 k), float32
-        Harmonics, k coefficients of three channels, of these splats among others.
-    which : ndarray of shape (n,), int32
-        Row of `values` that belongs to each splat.
-    order : ndarray of shape (n,), int32
-        Index of each splat in the scene it came from.
+    rows : float32 array (n, 13). Geometry of each splat, in the order of
+        `PreparedSplats.geometry`.
+    values : float32 array (m, 3 k). Harmonics, k coefficients of three channels,
+        of these splats among others.
+    which : int32 array (n,). Row of `values` that belongs to each splat.
+    order : int32 array (n,). Index of each splat in the scene it came from.
     """
     chunks = -(-len(rows) // LANES)
     flat = np.zeros((chunks * LANES, GEOMETRY), np.float32)

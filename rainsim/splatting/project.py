@@ -69,17 +69,13 @@ class SplatChunks(NamedTuple):
 class Frustum(NamedTuple):
     """The part of space that a camera sees.
 
-    Attributes
-    ----------
-    camera_from_world : ndarray of shape (3 or 4, 4), float32
-        Its first three rows are read.
-    lens : ndarray of shape (4,), float32 [px]
-        Focal lengths and principal point: fx, fy, cx, cy.
-    size : ndarray of shape (2,), float32 [px]
-        Width and height.
+    camera_from_world : float32 array (3 or 4, 4). Its first three rows are read.
+    lens : float32 array (4,) [px]. Focal lengths and principal point: fx, fy, cx,
+        cy.
+    size : float32 array (2,) [px]. Width and height.
     near : float32 [world units]
-    plane : ndarray of shape (4,), float32
-        (a, b, c, d): what has a x + b y + c z < d is cut away.
+    plane : float32 array (4,). (a, b, c, d): what has a x + b y + c z < d is cut
+        away.
     orthographic : bool
     """
 
@@ -162,19 +158,11 @@ def chunk_is_out(box, frustum):
 def project_splat(position, covariance, pose, lens):
     """Project one splat.
 
-    Parameters
-    ----------
     position : tuple of 3 float32
-    covariance : tuple of 6 float32
-        xx, xy, xz, yy, yz, zz.
-    pose : Pose
-    lens : Lens
-
-    Returns
-    -------
-    tuple of 12 float32
-        Camera point (3), image point (2), conic in eighths of log2 (3), the variances along the
-        picture's axes and the determinant with the low-pass, and the determinant before it.
+    covariance : tuple of 6 float32. xx, xy, xz, yy, yz, zz.
+    Returns tuple of 12 float32. Camera point (3), image point (2), conic in
+        eighths of log2 (3), the variances along the picture's axes and the
+        determinant with the low-pass, and the determinant before it.
     """
     px, py, pz = position
     c0, c1, c2, c3, c4, c5 = covariance
@@ -446,31 +434,23 @@ def project_chunks(
 
     The visible splats of the k-th listed chunk are written from place 256 k on.
 
-    Parameters
-    ----------
     splats : SplatChunks
-    chunks : ndarray of shape (n,), int64
-        Numbers of the chunks that may be in sight.
-    frustum : Frustum
-    deep : ndarray of shape (4,), float64
-        Third row of the view matrix.
-    eye : ndarray of shape (3,), float32
-        Position of the camera, or its view direction if orthographic.
-    compensate : bool
-        Weaken splats that the low-pass widens.
-    degree, across : int
-        Highest degree of harmonics used; tiles across the picture.
-    record_out : ndarray of shape (256 n, RECORD), float32
-    depth_out : ndarray of shape (256 n,), float64 [world units]
-        Of the splats' centres, for the order of the lists.
-    box_out : ndarray of shape (256 n, 4), int16
-        First and last column and row of each visible splat.
-    lane_out : ndarray of shape (256 n,), uint8
-        Its place in its chunk.
-    visible_out : ndarray of shape (n,), int64
-        Visible splats of each chunk.
-    count_out : ndarray of shape (BLOCKS, tiles), int64
-        Splats that each tile meets, for each block of chunks; added to.
+    chunks : int64 array (n,). Numbers of the chunks that may be in sight.
+    deep : float64 array (4,). Third row of the view matrix.
+    eye : float32 array (3,). Position of the camera, or its view direction if
+        orthographic.
+    compensate : bool. Weaken splats that the low-pass widens.
+    degree, across : int. Highest degree of harmonics used; tiles across the
+        picture.
+    record_out : float32 array (256 n, RECORD)
+    depth_out : float64 array (256 n,) [world units]. Of the splats' centres, for
+        the order of the lists.
+    box_out : int16 array (256 n, 4). First and last column and row of each
+        visible splat.
+    lane_out : uint8 array (256 n,). Its place in its chunk.
+    visible_out : int64 array (n,). Visible splats of each chunk.
+    count_out : int64 array (BLOCKS, tiles). Splats that each tile meets, for each
+        block of chunks; added to.
     """
     geometry, sh, fine, step = splats
     n = len(chunks)

@@ -49,18 +49,13 @@ def tile_starts(count):
 def list_tiles(depth, box, visible, across, place, entry_out):
     """Write (depth bits, record) of each splat into the list of each tile that it meets.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (256 n,), float64
-        Of the records.
-    box : ndarray of shape (256 n, 4), int16
-    visible : ndarray of shape (n,), int64
-        As `project_chunks` writes them.
-    across : int
-        Tiles across the picture.
-    place : ndarray of shape (BLOCKS, tiles), int64
-        The next free place of each block's share; modified in place.
-    entry_out : ndarray of uint64
+    depth : float64 array (256 n,). Of the records.
+    box : int16 array (256 n, 4)
+    visible : int64 array (n,). As `project_chunks` writes them.
+    across : int. Tiles across the picture.
+    place : int64 array (BLOCKS, tiles). The next free place of each block's
+        share; modified in place.
+    entry_out : uint64 array
     """
     n = len(visible)
     bits = depth.view(np.uint64)  # positive floats sort like their bits

@@ -20,20 +20,15 @@ EIGHT = np.float32(8)
 def weigh_tiles(record, entry, start, width, part, step, weight_out):
     """Sort each tile's list and add up the light that splats give to three parts of a picture.
 
-    Parameters
-    ----------
-    record : ndarray of shape (n, RECORD), float32
-    entry : ndarray of uint64
-        Lists of the tiles; sorted in place.
-    start : ndarray of shape (tiles + 1,), int64
+    record : float32 array (n, RECORD)
+    entry : uint64 array. Lists of the tiles; sorted in place.
+    start : int64 array (tiles + 1,)
     width : int [px]
-    part : ndarray of shape (height, width), int8
-        -1 the first, 1 the second, 0 the third.
-    step : int [px]
-        Every step-th pixel of every step-th row is asked.
-    weight_out : ndarray of shape (entries, 4), float32
-        Of each entry, for each part: the sum of alpha times transmittance [px]; and the sum of
-        alpha over the second, whatever stands before it.
+    part : int8 array (height, width). -1 the first, 1 the second, 0 the third.
+    step : int [px]. Every step-th pixel of every step-th row is asked.
+    weight_out : float32 array (entries, 4). Of each entry, for each part: the sum
+        of alpha times transmittance [px]; and the sum of alpha over the second,
+        whatever stands before it.
     """
     across = (width + TILE - 1) // TILE
     tiles = len(start) - 1

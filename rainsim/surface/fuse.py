@@ -171,12 +171,9 @@ def counted(position, size, views):
 class _Voxels:
     """A hash table of voxels, which grows.
 
-    Attributes
-    ----------
-    keys : ndarray of shape (n,), int64
-        Level and place of each voxel.
-    sums : ndarray of shape (n, SUMS), float64
-        Samples, and sums over them: place from the middle [m], colour, direction to the camera.
+    keys : int64 array (n,). Level and place of each voxel.
+    sums : float64 array (n, SUMS). Samples, and sums over them: place from the
+        middle [m], colour, direction to the camera.
     """
 
     def __init__(self):

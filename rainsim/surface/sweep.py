@@ -197,18 +197,14 @@ def _finer(values, times, shape):
 def try_offsets(position, normal, wanted, offsets, picture: TexturePicture, sums_out, count_out):
     """Add a picture's texture at some offsets along a normal to the sums of each place.
 
-    Parameters
-    ----------
-    position : ndarray of shape (ny, nx, 3), float32 [m]
-    normal : ndarray of shape (3,), float32
-        Unit, towards the cameras that count.
-    wanted : ndarray of shape (ny, nx), bool
-    offsets : ndarray of shape (k,), float32 [m]
+    position : float32 array (ny, nx, 3) [m]
+    normal : float32 array (3,). Unit, towards the cameras that count.
+    wanted : bool array (ny, nx)
+    offsets : float32 array (k,) [m]
     picture : TexturePicture
-    sums_out : ndarray of shape (3, k, ny, nx), float32
-        Sums of the weights, and of the texture and of its square with these.
-    count_out : ndarray of shape (ny, nx), uint16
-        One more where the picture shows it.
+    sums_out : float32 array (3, k, ny, nx). Sums of the weights, and of the
+        texture and of its square with these.
+    count_out : uint16 array (ny, nx). One more where the picture shows it.
     """
     rows, columns = picture.texture.shape
     m, lens, eye, texture = picture.matrix, picture.lens, picture.eye, picture.texture

@@ -64,14 +64,10 @@ def scatter_of(above, position, cover, height):
     Nothing lies below the ground, so what is found there is scatter, and as much lies above it.
     The root mean square of the heights below it is taken by places, and their median counts.
 
-    Parameters
-    ----------
-    above : ndarray of shape (n,) [m]
-        Heights of splats over the level of the ground.
-    position : ndarray of shape (n, 2 or 3) [m]
-    cover : ndarray of shape (n,) [m2]
-    height : float [m]
-        Of the cameras.
+    above : array (n,) [m]. Heights of splats over the level of the ground.
+    position : array (n, 2 or 3) [m]
+    cover : array (n,) [m2]
+    height : float [m]. Of the cameras.
     """
     below = (above < 0) & (above > -WINDOW * height) & (cover > 0)
     if not below.any():
@@ -90,23 +86,13 @@ def scatter_of(above, position, cover, height):
 class PoorGround:
     """Ground of which a capture tells where it is and how it looks, but not its height.
 
-    Parameters
-    ----------
-    scene : Scene
-    grid : Grid
-        Of the whole map.
-    scatter : float [m]
-        See `scatter_of`.
-    eyes : ndarray of shape (n, 3) [m]
-    followed : callable
-        The level that is followed from cell to cell, see `slab.follow_ground`.
-
-    Attributes
-    ----------
-    level : callable
-        See `level_below`.
-    layer : float [m]
-        How far from the bed most splats lie that show it.
+    grid : Grid. Of the whole map.
+    scatter : float [m]. See `scatter_of`.
+    eyes : array (n, 3) [m]
+    followed : callable. The level that is followed from cell to cell, see
+        `slab.follow_ground`.
+    level : callable. See `level_below`.
+    layer : float [m]. How far from the bed most splats lie that show it.
     """
 
     def __init__(self, scene, grid, scatter, eyes, followed):
@@ -167,9 +153,7 @@ def level_below(eyes):
     Where cameras rise and fall slowly along their path, as on a walk, the ground does below them.
     Where they do so from one to the next, somebody held them high and low, and it is a plane.
 
-    Parameters
-    ----------
-    eyes : ndarray of shape (n, 3) [m]
+    eyes : array (n, 3) [m]
     """
     usual = float(np.median(eyes[:, 2])) if len(eyes) else 1.0
     rise = eyes[:, 2] - eyes[:, 2].mean() if len(eyes) else eyes[:, 2]
@@ -199,16 +183,9 @@ def laid_colors(scene, grid, level, layer, height):
     Each pixel that shows it is laid where its ray meets the level. Near pixels count more, by the
     square of their distance.
 
-    Parameters
-    ----------
-    scene : Scene
-    grid : Grid
-    level : callable
-        See `level_below`.
-    layer : float [m]
-        How far from the bed the splats lie that show it.
-    height : float [m]
-        Of the cameras.
+    level : callable. See `level_below`.
+    layer : float [m]. How far from the bed the splats lie that show it.
+    height : float [m]. Of the cameras.
     """
     frame, total = scene.ground_frame, np.zeros((grid.shape[0] * grid.shape[1], 4))
     drawn = raster.Rasterizer(raster.prepare(scene.splats))
@@ -277,15 +254,9 @@ def smooth_level(followed, grid):
 def bed_of(patches, color, known, grid, level):
     """Return bed [m], source, noise [m], colour and excess green of ground that is poorly known.
 
-    Parameters
-    ----------
-    patches : Grid
-        Of the colours.
-    color, known : ndarray
-        See `filled`.
-    grid : Grid
-    level : callable
-        See `level_below`.
+    patches : Grid. Of the colours.
+    color, known : ndarray. See `filled`.
+    level : callable. See `level_below`.
     """
     x, y = grid.centres()
     row, column = (
@@ -330,18 +301,11 @@ def path_of(eyes, grid):
 def cover(places, grid, layer, ceiling, went):
     """Return top and underside over the bed [m] of what is on or over poorly known ground.
 
-    Parameters
-    ----------
-    places : ndarray of shape (n, 3) [m]
-        Of surfaces on which cameras agree, with heights over the level: splats before few cameras
-        look like things.
-    grid : Grid
-    layer : float [m]
-        How far from the bed the splats lie that show it.
-    ceiling : float [m]
-        What is higher was hardly seen.
-    went : ndarray of shape (ny, nx), bool
-        See `path_of`.
+    places : array (n, 3) [m]. Of surfaces on which cameras agree, with heights
+        over the level: splats before few cameras look like things.
+    layer : float [m]. How far from the bed the splats lie that show it.
+    ceiling : float [m]. What is higher was hardly seen.
+    went : bool array (ny, nx). See `path_of`.
     """
     row, column, inside = grid.cells(places[:, 0], places[:, 1])
     inside &= (places[:, 2] > layer) & (places[:, 2] < ceiling) & ~went[row, column]
@@ -359,15 +323,11 @@ def cover(places, grid, layer, ceiling, went):
 def layer_map(stands, went, spacing, scatter, height):
     """Return how far from the bed splats lie that show it, (ny, nx) float32 [m].
 
-    Parameters
-    ----------
-    stands, went : ndarray of shape (ny, nx), bool
-        Where things stand, and where cameras went.
+    stands, went : bool array (ny, nx). Where things stand, and where cameras
+        went.
     spacing : float [m]
-    scatter : float [m]
-        See `scatter_of`.
-    height : float [m]
-        Of the cameras.
+    scatter : float [m]. See `scatter_of`.
+    height : float [m]. Of the cameras.
     """
     width = BESIDE / spacing
     near = np.clip(4 * bedding.blur(stands.astype(np.float32), width), 0, 1)

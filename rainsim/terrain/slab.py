@@ -71,19 +71,12 @@ def follow_ground(points, cover, grid, start):
 def follow(height, cover, first, nx, seeds, level_out, state_out):
     """Follow the ground outwards from cells in which it lies on the plane.
 
-    Parameters
-    ----------
-    height, cover : ndarray of shape (n,), float32
-        Splats, sorted by cell [m], [cells].
-    first : ndarray of shape (cells + 1,), int64
-        Where each cell's splats begin.
-    nx : int
-        Cells in a row.
-    seeds : ndarray of shape (k,), int64
-        Cells that may lie on the plane.
-    level_out : ndarray of shape (cells,), float32 [m]
-    state_out : ndarray of shape (cells,), uint8
-        UNSEEN, CARRIED or FOUND.
+    height, cover : float32 array (n,). Splats, sorted by cell [m], [cells].
+    first : int64 array (cells + 1,). Where each cell's splats begin.
+    nx : int. Cells in a row.
+    seeds : int64 array (k,). Cells that may lie on the plane.
+    level_out : float32 array (cells,) [m]
+    state_out : uint8 array (cells,). UNSEEN, CARRIED or FOUND.
     """
     count = first.size - 1
     queue, gap = np.empty(count, np.int64), np.zeros(count, np.int64)

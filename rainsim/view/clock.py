@@ -11,15 +11,11 @@ class PlayClock:
 
     No state is left out: where a machine is too slow for the speed that is wanted, time is slower.
 
-    Attributes
-    ----------
-    frames : int
-        Number of states; after the last one follows the first, or the clock stops.
-    fps : float [1/s]
-        States in a second of rain.
+    frames : int. Number of states; after the last one follows the first, or the
+        clock stops.
+    fps : float [1/s]. States in a second of rain.
     index : int
-    speed : float
-        Of the rain over true speed, above 0.
+    speed : float. Of the rain over true speed, above 0.
     plays, loops : bool
     """
 

@@ -33,11 +33,8 @@ END_WAIT = 20.0  # s for a run that was interrupted to write its record
 class Saved:
     """The folder that was written, and the command that draws from it.
 
-    Attributes
-    ----------
     folder : Path
-    command : list of str
-        The arguments of `rainsim`.
+    command : list of str. The arguments of `rainsim`.
     """
 
     folder: Path
@@ -52,16 +49,12 @@ class Saved:
 class Home:
     """Writes files to take home into folders of its own; no earlier file is replaced.
 
-    Parameters
-    ----------
-    folder : Path
-        Made when something is first written.
-    scene : str
-        As it is typed after --scene.
-    options : sequence of str
-        More of the command line that is to be repeated: cameras, backend, threads.
-    say : callable, optional
-        say(line) prints a command in the terminal that shows the page.
+    folder : Path. Made when something is first written.
+    scene : str. As it is typed after --scene.
+    options : sequence of str. More of the command line that is to be repeated:
+        cameras, backend, threads.
+    say : callable, optional. say(line) prints a command in the terminal that
+        shows the page.
     """
 
     def __init__(self, folder, scene, options=(), say=None):
@@ -82,12 +75,8 @@ class Home:
     def save_view(self, session, view, index, width, height):
         """Write the files for the command of one picture and draw nothing; return them as `Saved`.
 
-        Parameters
-        ----------
-        session : Session
         view : Viewpoint
-        index : int
-            Of the state.
+        index : int. Of the state.
         width, height : int [px]
         """
         return self._write_view(session, self._new("view"), view, index, (width, height))
@@ -184,12 +173,7 @@ def _write_text(path, text):
 
 
 class CommandRun:
-    """A `rainsim` command in a process of its own, with its progress.
-
-    Parameters
-    ----------
-    saved : Saved
-    """
+    """A `rainsim` command in a process of its own, with its progress."""
 
     def __init__(self, saved):
         self.saved, self._said = saved, ""

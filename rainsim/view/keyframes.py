@@ -21,15 +21,12 @@ from rainsim.view.session import Viewpoint
 class Keyframe:
     """A camera and settings that a path passes through.
 
-    Attributes
-    ----------
     view : Viewpoint
-    config : Config
-        Of it those settings count that can change with time, see `timeline.CHANGING`.
-    seconds : float
-        From the keyframe before.
-    time : float or None
-        Of the rain that it shows [s]; None: time goes on along the path.
+    config : Config. Of it those settings count that can change with time, see
+        `timeline.CHANGING`.
+    seconds : float. From the keyframe before.
+    time : float or None. Of the rain that it shows [s]; None: time goes on along
+        the path.
     """
 
     view: Viewpoint
@@ -41,10 +38,7 @@ class Keyframe:
 def times_of(keyframes):
     """Return the times [s] of keyframes, (n,); the first is 0.
 
-    Raises
-    ------
-    ParameterError
-        If one does not come after the one before.
+    Raises ParameterError if one does not come after the one before.
     """
     for keyframe in keyframes[1:]:
         require_positive("time between keyframes", keyframe.seconds, "s", "2 is usual")
@@ -80,15 +74,11 @@ def without(keyframes, n):
 def with_timeline(keyframes, config, view):
     """Return keyframes with the settings of a timeline, and more of them at its times.
 
-    Parameters
-    ----------
-    keyframes : sequence of Keyframe
-        They keep their cameras and times; the timeline's other times get the camera that the path
-        has there. May be empty.
-    config : Config
-        With the timeline.
-    view : Viewpoint
-        The camera where there is no path yet.
+    keyframes : sequence of Keyframe. They keep their cameras and times; the
+        timeline's other times get the camera that the path has there. May be
+        empty.
+    config : Config. With the timeline.
+    view : Viewpoint. The camera where there is no path yet.
     """
     own = times_of(keyframes) if keyframes else np.zeros(0)
     given = dict.fromkeys([0.0, *(time for time, _ in config.keyframes)])
@@ -113,20 +103,12 @@ def smooth_path(keyframes, fps):
     Positions are a cubic spline and turns a rotation spline: neither jumps in speed. The camera
     starts and ends at rest; the angle of view does not overshoot.
 
-    Parameters
-    ----------
     keyframes : sequence of Keyframe
     fps : float [1/s]
-
-    Returns
-    -------
-    list of Viewpoint
-        One per frame; a single one if there is one keyframe.
-
-    Raises
-    ------
-    ParameterError
-        If there is no keyframe, or more frames than a run can have.
+    Returns list of Viewpoint. One per frame; a single one if there is one
+        keyframe.
+    Raises ParameterError if there is no keyframe, or more frames than a run can
+        have.
     """
     if not keyframes:
         raise ParameterError("there is no keyframe; a path needs one; add the camera you see")
@@ -161,20 +143,12 @@ def _views_at(keyframes, times):
 def moments_of(keyframes, fps):
     """Return the number of the rain's state that each frame of a path shows.
 
-    Parameters
-    ----------
     keyframes : sequence of Keyframe
     fps : float [1/s]
-
-    Returns
-    -------
-    tuple of int
-        Between the times of the keyframes time goes evenly; empty where it goes on by itself.
-
-    Raises
-    ------
-    ParameterError
-        If only some keyframes have a time, or one is earlier than that before.
+    Returns tuple of int. Between the times of the keyframes time goes evenly;
+        empty where it goes on by itself.
+    Raises ParameterError if only some keyframes have a time, or one is earlier
+        than that before.
     """
     times = rain_times_of(keyframes)
     if times is None:
@@ -207,10 +181,8 @@ def rain_times_of(keyframes):
 def timeline_of(keyframes):
     """Return the `Config.keyframes` of the settings that change from keyframe to keyframe.
 
-    Raises
-    ------
-    ParameterError
-        If a setting has no value at some keyframes only, or changes while the rain stands still.
+    Raises ParameterError if a setting has no value at some keyframes only, or
+        changes while the rain stands still.
     """
     changes = []
     for name in CHANGING:
@@ -242,11 +214,8 @@ def timeline_of(keyframes):
 def path_config(keyframes, config):
     """Return the settings of a run along a path.
 
-    Parameters
-    ----------
     keyframes : sequence of Keyframe
-    config : Config
-        What the keyframes do not change is taken from it.
+    config : Config. What the keyframes do not change is taken from it.
     """
     frames = len(smooth_path(keyframes, config.fps))
     steady = config.replace(**{n: keyframes[0].config.value(n) for n in CHANGING})

@@ -44,27 +44,16 @@ def mode_picture(
 ):  # fmt: skip
     """Return the picture of a mode, and the depth of its pixels.
 
-    Parameters
-    ----------
-    session : Session
-    name : str
-        Of `MODES`.
-    amount : float [mm]
-        Of rain, for PUDDLES.
-    shot : tuple
-        Viewpoint, width [px], height [px] and index of the state.
-    check : callable
-        See `Session.draw`.
-    with_depth : bool
-        Without it None stands for the depth where it is not at hand.
-    simple : bool
-        See `Session.draw`.
-
-    Returns
-    -------
-    picture : ndarray of shape (height, width, 3), uint8
-    depth : ndarray of shape (height, width), float32 [m]
-        Along the view axis, infinite for sky.
+    name : str. Of `MODES`.
+    amount : float [mm]. Of rain, for PUDDLES.
+    shot : tuple. Viewpoint, width [px], height [px] and index of the state.
+    check : callable. See `Session.draw`.
+    with_depth : bool. Without it None stands for the depth where it is not at
+        hand.
+    simple : bool. See `Session.draw`.
+    Returns picture : uint8 array (height, width, 3)
+        depth : float32 array (height, width) [m]. Along the view axis, infinite
+            for sky.
     """
     wanted = (LAYERS[name],) if name in LAYERS else ("clean",) if name in MAPS else ()
     names = (*wanted, "drawn_depth") if wanted or (with_depth and session.backend != "cpu") else ()
@@ -85,11 +74,8 @@ def _depth_at_hand(session):
 def layer_picture(name, values):
     """Return a layer of the frame as a picture, (height, width, 3) uint8.
 
-    Parameters
-    ----------
-    name : str
-        Of `aov.AOVS`.
-    values : ndarray of shape (height, width) or (height, width, 3)
+    name : str. Of `aov.AOVS`.
+    values : array (height, width) or (height, width, 3)
     """
     kind = AOVS[name].kind
     if kind == PICTURE:
@@ -161,16 +147,11 @@ def puddle_colors(depth):
 def over_ground(session, shot, picture, depth, colors, opacity):
     """Return a picture with a map laid over the pixels that show the ground.
 
-    Parameters
-    ----------
-    session : Session
-    shot : tuple
-        As for `mode_picture`.
-    picture : ndarray of shape (height, width, 3), uint8
-    depth : ndarray of shape (height, width) [m]
-    colors : ndarray of shape (ny, nx, 3)
-        0 to 255.
-    opacity : ndarray of shape (ny, nx)
+    shot : tuple. As for `mode_picture`.
+    picture : uint8 array (height, width, 3)
+    depth : array (height, width) [m]
+    colors : array (ny, nx, 3). 0 to 255.
+    opacity : array (ny, nx)
     """
     camera = session.camera_of(*shot[:3])
     points, distance = seen_points(session.scene.ground_frame.camera_in_ground(camera), depth)

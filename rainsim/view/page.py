@@ -38,17 +38,14 @@ REMEDY = 'the page needs viser; pip install "rainsim[view]"'
 class Client:
     """The state of one page: its controls, its view and the size of its picture.
 
-    Attributes
-    ----------
     handle : viser.ClientHandle
     rain, state : handles of its own controls
     view : Viewpoint
-    size : tuple of int
-        Width and height of the picture that was shown last [px].
-    said : tuple of (str, float)
-        The first word of its state and when it was last shown [s].
-    badly_seen : float
-        Share of the finished picture that was shown last, see `render.leaving`.
+    size : tuple of int. Width and height of the picture that was shown last [px].
+    said : tuple of (str, float). The first word of its state and when it was last
+        shown [s].
+    badly_seen : float. Share of the finished picture that was shown last, see
+        `render.leaving`.
     """
 
     handle: object
@@ -63,19 +60,9 @@ class Client:
 class Page:
     """Serves a `Painter`'s pictures.
 
-    Parameters
-    ----------
-    painter : Painter
-    home : Home
-    port : int
-        If it is in use the next free one is taken.
-    first : Viewpoint
-        Where a new page's camera is.
-    greeting : str
-        Shown on each new page until it is closed there; "" for none.
-
-    Attributes
-    ----------
+    port : int. If it is in use the next free one is taken.
+    first : Viewpoint. Where a new page's camera is.
+    greeting : str. Shown on each new page until it is closed there; "" for none.
     server : viser.ViserServer
     clients : dict of int to Client
     """

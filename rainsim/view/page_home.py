@@ -16,11 +16,8 @@ LOOK_EVERY = 0.5  # s between looks at how far a film is
 class HomeTools:
     """Screenshots, camera paths and films, the same on all pages.
 
-    Attributes
-    ----------
     keyframes : KeyframeTools
-    saved : Saved or None
-        What was saved last.
+    saved : Saved or None. What was saved last.
     """
 
     def __init__(self, page, home):

@@ -74,8 +74,6 @@ def table_of(keyframes):
 class KeyframeTools:
     """The keyframes of all pages, one of which is chosen to be edited.
 
-    Attributes
-    ----------
     keyframes : list of Keyframe
     """
 

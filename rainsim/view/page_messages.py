@@ -91,12 +91,8 @@ FIELDS = {  # of the messages that this program's page sends; others are dropped
 def require_values(kind, values):
     """Raise ParameterError unless a message has the values that its kind must have.
 
-    Parameters
-    ----------
-    kind : str
-        Of `FIELDS`.
-    values : dict
-        As they were decoded.
+    kind : str. Of `FIELDS`.
+    values : dict. As they were decoded.
     """
     if 0 in (values.get("image_width"), values.get("image_height")):
         raise UnfinishedError("the page has no size yet")
@@ -118,12 +114,9 @@ def require_values(kind, values):
 def require_value(control, value):
     """Raise ParameterError unless a control can have a value; a page alone keeps to its limits.
 
-    Parameters
-    ----------
-    control : viser.GuiInputHandle
-        Its present value, its `options` or its `min` and `max` are looked at.
-    value : object
-        As it was decoded.
+    control : viser.GuiInputHandle. Its present value, its `options` or its `min`
+        and `max` are looked at.
+    value : object. As it was decoded.
     """
     options, low, high = (getattr(control, name, None) for name in ("options", "min", "max"))
     now = getattr(control, "value", None)
@@ -181,12 +174,9 @@ class Uploads:
 class Checks:
     """The socket's side of one server: checks the messages that its connections receive.
 
-    Attributes
-    ----------
-    controls : callable
-        controls() yields the mappings from identifiers to controls, of the server and its pages.
-    complain : callable
-        complain(connection, error) tells a page what was wrong.
+    controls : callable. controls() yields the mappings from identifiers to
+        controls, of the server and its pages.
+    complain : callable. complain(connection, error) tells a page what was wrong.
     """
 
     def __init__(self):

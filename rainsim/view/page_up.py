@@ -16,11 +16,8 @@ COLOR = (240, 228, 66)
 class UpDisc:
     """The disc in the scene; there is none until `put` is called.
 
-    Parameters
-    ----------
     scene : viser.SceneApi
-    turned : callable
-        turned() is called when a drag has turned the disc.
+    turned : callable. turned() is called when a drag has turned the disc.
     """
 
     def __init__(self, scene, turned):
@@ -30,8 +27,6 @@ class UpDisc:
     def put(self, point, distance):
         """Put the disc at a point of the ground frame [m], seen from a distance [m]; it is level.
 
-        Parameters
-        ----------
         point : sequence of float [m]
         distance : float [m]
         """

@@ -24,14 +24,11 @@ from rainsim.view.threads import ThreadChoice
 class Shown:
     """A picture for a page.
 
-    Attributes
-    ----------
-    picture : ndarray of shape (height, width, 3), uint8
-    depth : ndarray of shape (height, width), float32 [m], or None
-        Along the view axis; with finished pictures only.
+    picture : uint8 array (height, width, 3)
+    depth : float32 array (height, width) [m], or None. Along the view axis; with
+        finished pictures only.
     job : Job
-    seconds : float
-        That it took to draw.
+    seconds : float. That it took to draw.
     """
 
     picture: np.ndarray
@@ -53,23 +50,15 @@ class Painter:
     Other threads call `add`, `remove`, `look`, `set_mode`, `set_config`, `ask` and the methods of
     time; they return at once.
 
-    Parameters
-    ----------
-    session : Session
-    show : callable
-        show(key, shown) hands a `Shown` to a client; called by the drawing thread.
-    say : callable, optional
-        say(text) reports the state in words: what is drawn or made.
-    fail : callable, optional
-        fail(error) reports a RainsimError that settings led to.
-    now : callable
-        The clock [s].
-    badly_seen : callable, optional
-        badly_seen(key, share) gets the share of a finished picture that the capture's cameras
-        hardly saw.
-
-    Attributes
-    ----------
+    show : callable. show(key, shown) hands a `Shown` to a client; called by the
+        drawing thread.
+    say : callable, optional. say(text) reports the state in words: what is drawn
+        or made.
+    fail : callable, optional. fail(error) reports a RainsimError that settings
+        led to.
+    now : callable. The clock [s].
+    badly_seen : callable, optional. badly_seen(key, share) gets the share of a
+        finished picture that the capture's cameras hardly saw.
     schedule : Schedule
     clock : PlayClock
     """
@@ -113,10 +102,7 @@ class Painter:
     def set_config(self, change):
         """Set the settings that change(config) returns for the next pictures.
 
-        Raises
-        ------
-        ParameterError
-            If they break a rule; then nothing changes.
+        Raises ParameterError if they break a rule; then nothing changes.
         """
         config = change(self._config).check()
         if config == self._config:

@@ -27,19 +27,12 @@ SOURCES = {MEASURED: "measured", INFERRED: "inferred"}
 class ProbeReading:
     """Place, ground, water and class at a clicked point.
 
-    Attributes
-    ----------
-    point : tuple of float [m]
-        In the ground frame.
+    point : tuple of float [m]. In the ground frame.
     capture_point : tuple of float [capture units]
-    cell : tuple of int, or None
-        Row and column of the map; None beside it.
-    ground : float [m]
-        Height of the ground there; NaN beside the map.
-    depth : float [m]
-        Of water on it.
-    kind : str
-        Ground class and how the ground is known.
+    cell : tuple of int, or None. Row and column of the map; None beside it.
+    ground : float [m]. Height of the ground there; NaN beside the map.
+    depth : float [m]. Of water on it.
+    kind : str. Ground class and how the ground is known.
     """
 
     point: tuple
@@ -67,19 +60,11 @@ class ProbeReading:
 def point_at(session, view, place, size):
     """Return the point of the capture that a view shows at a place, in the ground frame [m] (3,).
 
-    Parameters
-    ----------
-    session : Session
     view : Viewpoint
-    place : tuple of float
-        Column and row as shares of the picture's width and height, from its upper left corner.
-    size : tuple of int
-        Width and height of the picture [px].
-
-    Raises
-    ------
-    ParameterError
-        If nothing solid is seen there.
+    place : tuple of float. Column and row as shares of the picture's width and
+        height, from its upper left corner.
+    size : tuple of int. Width and height of the picture [px].
+    Raises ParameterError if nothing solid is seen there.
     """
     width, height = size
     u, v = place[0] * width, place[1] * height
@@ -122,22 +107,11 @@ def meters_per_unit_of(scene, a, b, length):
 def up_of(scene, points, eye=(0.0, 0.0, 1e6)):
     """Return the unit normal of a plane through three points of the ground frame, upwards.
 
-    Parameters
-    ----------
-    scene : Scene
     points : array_like of shape (3, 3) [m]
-    eye : array_like of shape (3,) [m]
-        From where they were seen: that side of the plane is the upper one.
-
-    Returns
-    -------
-    ndarray of shape (3,)
-        In the capture frame.
-
-    Raises
-    ------
-    ParameterError
-        If the points lie nearly on a line.
+    eye : array_like of shape (3,) [m]. From where they were seen: that side of
+        the plane is the upper one.
+    Returns array (3,). In the capture frame.
+    Raises ParameterError if the points lie nearly on a line.
     """
     a, b, c = (np.asarray(p, np.float64) for p in points)
     normal = np.cross(b - a, c - a)
@@ -155,13 +129,8 @@ def with_up(scene, up, point):
 
     Where no ground is found within 20 degrees of level, the level plane through a point is taken.
 
-    Parameters
-    ----------
-    scene : Scene
-    up : array_like of shape (3,)
-        In the capture frame.
-    point : array_like of shape (3,) [m]
-        On the ground, in the ground frame.
+    up : array_like of shape (3,). In the capture frame.
+    point : array_like of shape (3,) [m]. On the ground, in the ground frame.
     """
     try:
         found = override_ground_frame(scene, up=up)
@@ -177,16 +146,11 @@ def with_up(scene, up, point):
 def painted(mask, terrain, point, radius, code):
     """Return a class mask with a disk painted on it.
 
-    Parameters
-    ----------
-    mask : ndarray of shape (ny, nx), int16, or None
-        Class of each cell, -1 where it is left to the program; None: nothing is painted yet.
-    terrain : Terrain
-    point : sequence of float [m]
-        Its x and y are the middle of the disk.
+    mask : int16 array (ny, nx), or None. Class of each cell, -1 where it is left
+        to the program; None: nothing is painted yet.
+    point : sequence of float [m]. Its x and y are the middle of the disk.
     radius : float [m]
-    code : int
-        Class, or -1 to leave the disk to the program.
+    code : int. Class, or -1 to leave the disk to the program.
     """
     found = np.full(terrain.grid.shape, -1, np.int16) if mask is None else mask.copy()
     found[terrain.grid.disc(point, radius)] = code

@@ -23,19 +23,13 @@ SMALL, SHARP, EXACT = range(3)  # steps in which a picture is refined
 class Viewer:
     """One page that looks.
 
-    Attributes
-    ----------
-    view : object
-        Its camera; None until it is known.
-    aspect : float
-        Width over height of its picture.
+    view : object. Its camera; None until it is known.
+    aspect : float. Width over height of its picture.
     generation : int
-    changed : float [s]
-        When the generation last grew.
-    shown : tuple of (int, int, int)
-        Generation, width [px] and step of the picture that it was shown last.
-    served : float [s]
-        When it was last drawn for.
+    changed : float [s]. When the generation last grew.
+    shown : tuple of (int, int, int). Generation, width [px] and step of the
+        picture that it was shown last.
+    served : float [s]. When it was last drawn for.
     """
 
     view: object = None
@@ -50,17 +44,13 @@ class Viewer:
 class Job:
     """One picture that is to be drawn.
 
-    Attributes
-    ----------
-    client : object
-        The client's key.
+    client : object. The client's key.
     generation : int
     view : object
     width, height : int [px]
-    step : int
-        SMALL, SHARP (full size, from parts that may be out of date) or EXACT.
-    simple : bool
-        Whether reflections are simplified.
+    step : int. SMALL, SHARP (full size, from parts that may be out of date) or
+        EXACT.
+    simple : bool. Whether reflections are simplified.
     """
 
     client: object
@@ -81,19 +71,13 @@ def pace_of(job, seconds):
 class Schedule:
     """Who is drawn for next; knows the time only from its callers.
 
-    Attributes
-    ----------
-    full, least : int [px]
-        Width of a picture at rest, and the least while something moves.
-    adapts : bool
-        Whether pictures are smaller while something moves.
-    simplifies : bool
-        Whether pictures have simple reflections while something moves, if the machine is too slow
-        for others of the least width.
-    plays : bool
-        Whether time goes on: then pictures are not refined.
-    stale : bool
-        Whether parts are out of date, so that SHARP and EXACT differ.
+    full, least : int [px]. Width of a picture at rest, and the least while
+        something moves.
+    adapts : bool. Whether pictures are smaller while something moves.
+    simplifies : bool. Whether pictures have simple reflections while something
+        moves, if the machine is too slow for others of the least width.
+    plays : bool. Whether time goes on: then pictures are not refined.
+    stale : bool. Whether parts are out of date, so that SHARP and EXACT differ.
     """
 
     full: int = FULL_WIDTH

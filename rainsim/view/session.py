@@ -38,13 +38,10 @@ MIRRORS = ("auto", "mirror")  # reflections that draw the capture again
 class Viewpoint:
     """Where a page's camera is, in the ground frame.
 
-    Attributes
-    ----------
     position : tuple of float [m]
-    turn : tuple of float
-        Unit quaternion, w first: the camera's own axes (x right, y down, z forward) to the ground.
-    fov : float [rad]
-        Angle of the picture's height.
+    turn : tuple of float. Unit quaternion, w first: the camera's own axes (x
+        right, y down, z forward) to the ground.
+    fov : float [rad]. Angle of the picture's height.
     """
 
     position: tuple
@@ -82,10 +79,7 @@ class OutOfDateError(Exception):
 class CheckedTimer(Timer):
     """A clock of stages that asks between them whether to go on.
 
-    Parameters
-    ----------
-    check : callable
-        Raises if the picture is no longer wanted.
+    check : callable. Raises if the picture is no longer wanted.
     """
 
     def __init__(self, check):
@@ -101,31 +95,21 @@ class CheckedTimer(Timer):
 class Session:
     """A scene, its terrain, its water and its renderer, shared by all pages.
 
-    Parameters
-    ----------
-    scene : Scene
-    config : Config
-        `surroundings` must be set: a picture does not depend on who looked first.
+    config : Config. `surroundings` must be set: a picture does not depend on who
+        looked first.
     backend : {"cpu", "cuda"}
-    mask : ndarray of shape (ny, nx), int, optional
-        Painted classes, see `pipeline.extract_terrain`.
-    progress, say : callable, optional
-        As `pipeline.extract_terrain` takes them.
-    cameras : sequence of Camera, optional
-        In the capture frame: those offered for a capture that has none.
-    water : rainsim.terrain.poured.WaterMask, optional
-        On the ground at the start.
-
-    Attributes
-    ----------
-    config : Config
-        What is wanted; the parts follow with `make`.
-    cameras : tuple of Camera
-        The scene's, or those offered.
-    no_ground : GroundError or None
-        Why the scene has no terrain. Then the capture alone is drawn.
-    stale : set of str
-        Of `BASES`: the parts to be made again.
+    mask : int array (ny, nx), optional. Painted classes, see
+        `pipeline.extract_terrain`.
+    progress, say : callable, optional. As `pipeline.extract_terrain` takes them.
+    cameras : sequence of Camera, optional. In the capture frame: those offered
+        for a capture that has none.
+    water : rainsim.terrain.poured.WaterMask, optional. On the ground at the
+        start.
+    config : Config. What is wanted; the parts follow with `make`.
+    cameras : tuple of Camera. The scene's, or those offered.
+    no_ground : GroundError or None. Why the scene has no terrain. Then the
+        capture alone is drawn.
+    stale : set of str. Of `BASES`: the parts to be made again.
     terrain : Terrain
     water : SharedWater
     renderer : Renderer of the backend
@@ -180,11 +164,8 @@ class Session:
     def make(self, check=lambda: None):
         """Make all parts that are out of date.
 
-        Parameters
-        ----------
-        check : callable
-            Called between the parts; what it raises ends the work, and the parts that were made
-            stay.
+        check : callable. Called between the parts; what it raises ends the work,
+            and the parts that were made stay.
         """
         for part, make in (
             (TERRAIN, partial(self._make_terrain, check)), (WATER, self._make_water),
@@ -250,8 +231,6 @@ class Session:
     def camera_of(self, view, width, height):
         """Return the Camera of a view, in the capture frame, to the bit as `--path` reads it.
 
-        Parameters
-        ----------
         view : Viewpoint
         width, height : int [px]
         """
@@ -279,23 +258,15 @@ class Session:
     def draw(self, view, width, height, index, names=(), check=lambda: None, simple=False):
         """Return the picture of a view and its report, as the parts and settings are now.
 
-        Parameters
-        ----------
         view : Viewpoint
         width, height : int [px]
-        index : int
-            Of the state.
-        names : sequence of str
-            AOVs, see `rainsim.render.aov`.
-        check : callable
-            Called between stages; what it raises ends the drawing.
-        simple : bool
-            Find reflections on the screen and in the surroundings alone: no mirrored pictures.
-
-        Returns
-        -------
-        picture : ndarray of shape (height, width, 3), uint8
-        report : FrameReport
+        index : int. Of the state.
+        names : sequence of str. AOVs, see `rainsim.render.aov`.
+        check : callable. Called between stages; what it raises ends the drawing.
+        simple : bool. Find reflections on the screen and in the surroundings
+            alone: no mirrored pictures.
+        Returns picture : uint8 array (height, width, 3)
+            report : FrameReport
         """
         self._follow()
         key = view, width, height, simple
@@ -326,10 +297,8 @@ class Session:
     def draw_bare(self, view, width, height):
         """Return the capture without rain as a view shows it, while there is nothing to rain on.
 
-        Returns
-        -------
-        picture : ndarray of shape (height, width, 3), uint8
-        depth : ndarray of shape (height, width), float32 [m]
+        Returns picture : uint8 array (height, width, 3)
+            depth : float32 array (height, width) [m]
         """
         camera = self.camera_of(view, width, height)
         require_memory_of_picture(camera)

@@ -17,10 +17,8 @@ TRY_EVERY = 24  # pictures, after which the slower choice is tried again
 class ThreadChoice:
     """Chooses the number of threads for the next picture in motion.
 
-    Parameters
-    ----------
-    most : int
-        Number of threads that there are; with a single one there is no choice.
+    most : int. Number of threads that there are; with a single one there is no
+        choice.
     """
 
     def __init__(self, most):

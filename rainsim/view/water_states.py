@@ -10,12 +10,10 @@ KEPT_BYTES = 256e6  # of states; those first forgotten that were asked for longe
 class SharedWater:
     """States of one simulation by their index, simulated as they are asked for.
 
-    Parameters
-    ----------
-    simulate : callable
-        simulate(terrain, config) yields the states from the first on.
-    most : float
-        Bytes of states that are kept; the first state and the last one always are.
+    simulate : callable. simulate(terrain, config) yields the states from the
+        first on.
+    most : float. Bytes of states that are kept; the first state and the last one
+        always are.
     """
 
     def __init__(self, simulate, most=KEPT_BYTES):
@@ -36,12 +34,9 @@ class SharedWater:
     def state(self, index, check=lambda: None):
         """Return the `SimState` number `index`; simulate up to it if it is not kept.
 
-        Parameters
-        ----------
         index : int
-        check : callable
-            Called before each step of the simulation; what it raises ends the search, and the
-            steps that were done are kept.
+        check : callable. Called before each step of the simulation; what it
+            raises ends the search, and the steps that were done are kept.
         """
         if index in self._kept:
             self._kept[index] = self._kept.pop(index)  # now the last that is forgotten

@@ -14,13 +14,10 @@ import numpy as np
 class Water(NamedTuple):
     """Depth and velocity with ghost cells.
 
-    Attributes
-    ----------
-    h, remainder : ndarray of shape (ny + 4, nx + 4) [m]
-        Flowing depth, and the part of it that the type of `h` cannot hold or that is too thin to
-        flow.
-    u, v : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
-        Velocities of the west and the south faces.
+    h, remainder : array (ny + 4, nx + 4) [m]. Flowing depth, and the part of it
+        that the type of `h` cannot hold or that is too thin to flow.
+    u, v : array (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]. Velocities of the
+        west and the south faces.
     """
 
     h: np.ndarray
@@ -39,11 +36,8 @@ class Flux(NamedTuple):
 class Ground(NamedTuple):
     """The height on which water flows and its roughness, with the ghost cells of `Water`.
 
-    Attributes
-    ----------
     bed : ndarray [m]
-    roughness : ndarray [s2 m^(-2/3)]
-        Square of Manning's n.
+    roughness : ndarray [s2 m^(-2/3)]. Square of Manning's n.
     """
 
     bed: np.ndarray
@@ -53,19 +47,14 @@ class Ground(NamedTuple):
 class StepNumbers(NamedTuple):
     """The numbers of one step, all of the fields' type.
 
-    Attributes
-    ----------
-    k, kg : float [s/m], [1/s]
-        dt / spacing, and gravity times the time of the pressure / spacing.
-    wave : float [1/m]
-        Square of the Courant number of a wave over its depth: gravity dt^2 / spacing^2.
+    k, kg : float [s/m], [1/s]. dt / spacing, and gravity times the time of the
+        pressure / spacing.
+    wave : float [1/m]. Square of the Courant number of a wave over its depth:
+        gravity dt^2 / spacing^2.
     gravity : float [m/s2]
-    cap : float [m/s]
-        Speed that no face may exceed.
-    rounding : float
-        Relative rounding under which levels are equal.
-    dry : float [m]
-        Depths below do not flow.
+    cap : float [m/s]. Speed that no face may exceed.
+    rounding : float. Relative rounding under which levels are equal.
+    dry : float [m]. Depths below do not flow.
     """
 
     k: float
@@ -80,15 +69,11 @@ class StepNumbers(NamedTuple):
 class FrictionNumbers(NamedTuple):
     """The numbers of friction over one step.
 
-    Attributes
-    ----------
-    drag : float [m/s]
-        gravity * dt.
-    laminar : float [m2]
-        3 * kinematic viscosity * dt: the drag of a laminar film over its depth squared.
+    drag : float [m/s]. gravity * dt.
+    laminar : float [m2]. 3 * kinematic viscosity * dt: the drag of a laminar film
+        over its depth squared.
     gravity : float [m/s2]
-    dry : float [m]
-        Least depth that friction sees.
+    dry : float [m]. Least depth that friction sees.
     """
 
     drag: float

@@ -21,11 +21,8 @@ FILM = 1.0  # step of the bed over the depth: above, the water is a film that fo
 def choose(asked, h, bed):
     """Return scheme, Courant number and why.
 
-    Parameters
-    ----------
     asked : {"auto", "accurate", "lean", "paper"}
-    h, bed : ndarray of shape (ny, nx) [m]
-        Flowing depth and the height on which it flows.
+    h, bed : array (ny, nx) [m]. Flowing depth and the height on which it flows.
     """
     if asked != "auto":
         return asked, COURANTS[asked], "asked for by name"

@@ -22,18 +22,11 @@ HALVINGS = 30  # of the share that a rating curve leaves: to 1e-9 of it
 class Condition:
     """A part of an edge.
 
-    Parameters
-    ----------
     edge : {"west", "east", "south", "north"}
-    span : (int, int), optional
-        First cell and last cell + 1 along the edge, from the south or the west; all by default.
-
-    Attributes
-    ----------
-    volume : float [m3]
-        That came in since the state was set, less what left.
-    flow : float [m3/s]
-        That came in over the last step, less what left.
+    span : (int, int), optional. First cell and last cell + 1 along the edge, from
+        the south or the west; all by default.
+    volume : float [m3]. That came in since the state was set, less what left.
+    flow : float [m3/s]. That came in over the last step, less what left.
     """
 
     def __init__(self, edge, span=None):
@@ -85,12 +78,8 @@ class Condition:
     def change(self, depth, start, end, area):
         """Return the new depths [m] of the cells after the step from `start` to `end` [s].
 
-        Parameters
-        ----------
-        depth : ndarray of shape (cells,), float64 [m]
-            Depth above the bed.
-        area : float [m2]
-            Of a cell.
+        depth : float64 array (cells,) [m]. Depth above the bed.
+        area : float [m2]. Of a cell.
         """
         raise NotImplementedError
 
@@ -275,13 +264,9 @@ def apply_conditions(solver, start, end, dry):
 
     Films are left alone: the water above them changes.
 
-    Parameters
-    ----------
     solver : WaterSolver
-    start, end : float [s]
-        Of the step.
-    dry : float [m]
-        Depths below do not flow.
+    start, end : float [s]. Of the step.
+    dry : float [m]. Depths below do not flow.
     """
     (h, remainder, _, _), film, area = solver.flow.water, solver.sources.film, solver.spacing**2
     came = left = 0.0

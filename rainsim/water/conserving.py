@@ -140,14 +140,12 @@ def wave_speed(speed, h_a, h_b, gravity):
 def volume_flux(tiles, h, bed, u, v, qu_out, qv_out):
     """Volume flux through the west and south faces of the cells of `tiles`, and the map's edges.
 
-    Parameters
-    ----------
-    tiles : ndarray of shape (tiles, 4), int64
-        First and last row + 1, first and last column + 1 of each tile.
-    h, bed : ndarray of shape (ny + 4, nx + 4) [m]
-        Flowing depth at n and the height on which it flows.
-    u, v : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
-        Face velocities at n+1/2.
+    tiles : int64 array (tiles, 4). First and last row + 1, first and last column
+        + 1 of each tile.
+    h, bed : array (ny + 4, nx + 4) [m]. Flowing depth at n and the height on
+        which it flows.
+    u, v : array (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]. Face velocities at
+        n+1/2.
     qu_out, qv_out : as u and v [m2/s]
     """
     ny, nx = h.shape
@@ -176,15 +174,12 @@ def move_depth(tiles, qu, qv, k, dry, h_out, remainder_out):
     The sums are float64, where those of float32 are exact, and what `h` cannot represent or is
     too little to flow stays in `remainder`: volume is conserved to float64 rounding.
 
-    Parameters
-    ----------
-    tiles : ndarray of shape (tiles, 4), int64
-    qu, qv : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m2/s]
+    tiles : int64 array (tiles, 4)
+    qu, qv : array (ny + 4, nx + 5) and (ny + 5, nx + 4) [m2/s]
     k : float64 [s/m]
-    dry : float64 [m]
-        Depths below do not flow.
-    h_out, remainder_out : ndarray of shape (ny + 4, nx + 4) [m]
-        Flowing depth and its remainder; modified in place.
+    dry : float64 [m]. Depths below do not flow.
+    h_out, remainder_out : array (ny + 4, nx + 4) [m]. Flowing depth and its
+        remainder; modified in place.
     """
     for n in prange(tiles.shape[0]):
         south, north, west, east = tiles[n, 0], tiles[n, 1], tiles[n, 2], tiles[n, 3]
@@ -341,23 +336,17 @@ def accelerate(
 ):  # fmt: skip
     """Carry momentum and apply pressure with the fourth-order term in the tiles of `runs`.
 
-    Parameters
-    ----------
-    runs : ndarray of shape (runs, 6), int64
-        See `rows.runs_of`.
-    tiles : ndarray of shape (tiles, 4), int64
-        First and last row + 1, first and last column + 1 of each tile.
-    water : Water
-        Depth at n+1 and velocity at n+1/2.
-    bed : ndarray of shape (ny + 4, nx + 4) [m]
-        Height on which the water flows.
-    flux : Flux
-        Volume flux at n+1/2, zero for a first half step.
+    runs : int64 array (runs, 6). See `rows.runs_of`.
+    tiles : int64 array (tiles, 4). First and last row + 1, first and last column
+        + 1 of each tile.
+    water : Water. Depth at n+1 and velocity at n+1/2.
+    bed : array (ny + 4, nx + 4) [m]. Height on which the water flows.
+    flux : Flux. Volume flux at n+1/2, zero for a first half step.
     step : StepNumbers
-    u_out, v_out : as u and v [m/s]
-        Velocity at n+3/2; edge faces are to be set again.
-    wave_speed_out, speed_out : ndarray of shape (tiles,) [m/s]
-        Largest `wave_speed` and largest speed of each tile.
+    u_out, v_out : as u and v [m/s]. Velocity at n+3/2; edge faces are to be set
+        again.
+    wave_speed_out, speed_out : array (tiles,) [m/s]. Largest `wave_speed` and
+        largest speed of each tile.
     """
     for t in prange(runs.shape[0]):
         accelerate_run(
@@ -369,11 +358,9 @@ def accelerate(
 def fill_depth(kinds, a_out):
     """Fill the ghost cells of a cell map: mirrored at walls, as the edge cell at open edges.
 
-    Parameters
-    ----------
-    kinds : ndarray of shape (4,), int64
-        1 where the west, east, south, north edge is open, 0 where it is a wall.
-    a_out : ndarray of shape (ny + 4, nx + 4)
+    kinds : int64 array (4,). 1 where the west, east, south, north edge is open, 0
+        where it is a wall.
+    a_out : array (ny + 4, nx + 4)
     """
     ny, nx = a_out.shape
     for j in range(PAD, ny - PAD):
@@ -400,12 +387,9 @@ def speed_out(speed, here, behind, step):
     its neighbour's it goes on gaining speed as it does before the edge; without that the sill holds
     whatever depth has gathered, with it the flow over it becomes critical. Water at rest stays.
 
-    Parameters
-    ----------
-    speed : float [m/s]
-        Outward, of the face just inside.
-    here, behind : float [m/s]
-        Outward, one step earlier, of that face and of the next one inward.
+    speed : float [m/s]. Outward, of the face just inside.
+    here, behind : float [m/s]. Outward, one step earlier, of that face and of the
+        next one inward.
     step : float [m]
     """
     leaves = max(speed, ZERO)
@@ -418,14 +402,12 @@ def fill_edge_flux(kinds, h, bed, u, v, qu_out, qv_out):
 
     With the whole depth of its neighbour the cell would gain more than it passes on, and dam up.
 
-    Parameters
-    ----------
-    kinds : ndarray of shape (4,), int64
-        1 where the west, east, south, north edge is open, 0 where it is a wall.
-    h, bed : ndarray of shape (ny + 4, nx + 4) [m]
-    u, v : ndarray of shape (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
-    qu_out, qv_out : as u and v [m2/s]
-        Volume flux, in which the faces of those cells are changed.
+    kinds : int64 array (4,). 1 where the west, east, south, north edge is open, 0
+        where it is a wall.
+    h, bed : array (ny + 4, nx + 4) [m]
+    u, v : array (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
+    qu_out, qv_out : as u and v [m2/s]. Volume flux, in which the faces of such
+        cells are changed.
     """
     ny, nx = h.shape
     for j in range(PAD, ny - PAD):

@@ -35,22 +35,15 @@ CAP_STEPS = 64  # steps from one update of the speed cap to the next
 class ConservingFlow(StaggeredFlow):
     """Depth and velocity with `PAD` ghost cells around, and what "accurate" and "lean" share.
 
-    Parameters
-    ----------
-    bed, spacing, gravity, is_open, roughness, dry
-        See `StaggeredFlow`; the maps are without ghost cells.
-    viscosity : float [m2/s]
-        Kinematic; 0 is no laminar drag.
-
-    Attributes
-    ----------
-    edge_is_open : ndarray of shape (4,), int64
-        1 where the west, east, south, north edge is open, 0 where it is a wall.
+    bed, spacing, gravity, is_open, roughness, dry. See `StaggeredFlow`; the maps
+        are without ghost cells.
+    viscosity : float [m2/s]. Kinematic; 0 is no laminar drag.
+    edge_is_open : int64 array (4,). 1 where the west, east, south, north edge is
+        open, 0 where it is a wall.
     lowest_bed : float [m]
-    cap : float [m/s]
-        Speed that no face may exceed: all energy there is.
-    is_at_whole_step : bool
-        Whether velocity is known at n, like depth; the first step takes it to n + 1/2.
+    cap : float [m/s]. Speed that no face may exceed: all energy there is.
+    is_at_whole_step : bool. Whether velocity is known at n, like depth; the first
+        step takes it to n + 1/2.
     """
 
     pad = PAD
@@ -216,14 +209,10 @@ class ConservingFlow(StaggeredFlow):
     def note_cells(self, edge, rows, columns, rise, dt):
         """Take note that last cells of an edge rose within a step.
 
-        Parameters
-        ----------
         edge : str
-        rows, columns : ndarray of int
-        rise : ndarray [m]
-            Of each cell.
-        dt : float [s]
-            Of the step.
+        rows, columns : int array
+        rise : ndarray [m]. Of each cell.
+        dt : float [s]. Of the step.
         """
         h, at = self.water.h, (rows + PAD, columns + PAD)
         self._tiles.wake_cells(rows, columns)

@@ -83,14 +83,11 @@ class SpillGraph:
 
     Parameters are those of `standing_water`.
 
-    Attributes
-    ----------
     shape : tuple of int
     spacing : float [m]
-    dropped : int
-        Depressions (merged ones too) that hold nothing, for they are too shallow or too small.
-    count : int
-        All depressions.
+    dropped : int. Depressions (merged ones too) that hold nothing, for they are
+        too shallow or too small.
+    count : int. All depressions.
     """
 
     def __init__(
@@ -130,20 +127,16 @@ class SpillGraph:
 class _Tree:
     """The tree of depressions; nodes are numbered so that parents come after children.
 
-    Attributes
-    ----------
-    order : ndarray of shape (n,), int64
-        Cells in ascending order of height, ties by number.
-    node, ending : ndarray of shape (n,), int32
-        Each cell's smallest depression (DRAINED if none), and the leaf, OUT or SOAKED where its
-        rain runs to.
-    links : ndarray of shape (3, count), int32
-        PARENT: what two full siblings become (DRAINED: nothing). SIBLING: the depression that
-        shares the rim (DRAINED: the overflow never comes back). TARGET: the leaf, OUT or SOAKED
-        where the overflow runs to.
-    levels : ndarray of shape (4, count), float64 [m]
-        RIM: level of the rim. PIT: lowest point. VOLUME: depth up to the rim summed over the
-        cells. Infinite rim and volume: nothing can spill. AREA: number of its cells.
+    order : int64 array (n,). Cells in ascending order of height, ties by number.
+    node, ending : int32 array (n,). Each cell's smallest depression (DRAINED if
+        none), and the leaf, OUT or SOAKED where its rain runs to.
+    links : int32 array (3, count). PARENT: what two full siblings become
+        (DRAINED: nothing). SIBLING: the depression that shares the rim (DRAINED:
+        the overflow never comes back). TARGET: the leaf, OUT or SOAKED where the
+        overflow runs to.
+    levels : float64 array (4, count) [m]. RIM: level of the rim. PIT: lowest
+        point. VOLUME: depth up to the rim summed over the cells. Infinite rim and
+        volume: nothing can spill. AREA: number of its cells.
     """
 
     def __init__(self, bed, kind):
@@ -247,20 +240,12 @@ def build(bed, order, kind, nx, node_out, ending_out, links_out, levels_out):
     doors are siblings, what they become is the next one's sibling, and so on; nodes whose door is
     higher than a drained one spill without return.
 
-    Parameters
-    ----------
-    bed : ndarray of shape (n,), float64 [m]
-    order : ndarray of shape (n,), int64
-    kind : ndarray of shape (n,), uint8
-        PLAIN, EDGE or PERMEABLE.
-    nx : int
-        Cells in a row.
+    bed : float64 array (n,) [m]
+    order : int64 array (n,)
+    kind : uint8 array (n,). PLAIN, EDGE or PERMEABLE.
+    nx : int. Cells in a row.
     node_out, ending_out, links_out, levels_out : ndarray
-
-    Returns
-    -------
-    int
-        Number of nodes, with DRAINED.
+    Returns int. Number of nodes, with DRAINED.
     """
     up = np.empty(links_out.shape[1], np.int32)  # to the node that now contains a node
     sums = np.zeros((2, up.size))
@@ -315,18 +300,14 @@ def build(bed, order, kind, nx, node_out, ending_out, links_out, levels_out):
 def fill(bed, rainfall, order, node, ending, links, rim, capacity, depth_out, left_out):
     """Pour the rain into the tree and spread each depression's water over its cells.
 
-    Parameters
-    ----------
-    bed, rainfall : ndarray of shape (n,), float64 [m]
-    order, node, ending, links : ndarray
-        See `_Tree`.
-    rim : ndarray of shape (count,), float64 [m]
-        Level of each node's rim.
-    capacity : ndarray of shape (count,), float64 [m]
-        Depth that each node holds, summed over its cells.
-    depth_out : ndarray of shape (n,), float64 [m]
-    left_out : ndarray of shape (2,), float64 [m]
-        Depth that left over the edge and into permeable cells, summed.
+    bed, rainfall : float64 array (n,) [m]
+    order, node, ending, links : ndarray. See `_Tree`.
+    rim : float64 array (count,) [m]. Level of each node's rim.
+    capacity : float64 array (count,) [m]. Depth that each node holds, summed over
+        its cells.
+    depth_out : float64 array (n,) [m]
+    left_out : float64 array (2,) [m]. Depth that left over the edge and into
+        permeable cells, summed.
     """
     count = rim.size
     rain = np.zeros(count)
@@ -381,16 +362,13 @@ def pour(leaf, volume, links, capacity, passes_out, water_out, full_out, whole_o
 def spread(bed, order, node, links, rim, water, full, whole, depth_out):
     """Turn the water of each node of the tree into a level, and the levels into depths.
 
-    Parameters
-    ----------
-    bed, order, node, links, rim, depth_out : ndarray
-        See `fill`.
-    water : ndarray of shape (count,), float64 [m]
-        Depth that lies in each node, summed over its cells.
-    full : ndarray of shape (count,), bool
-        Whether the node holds its capacity: its level is the rim.
-    whole : ndarray of shape (count,), bool
-        Whether its water has one level: leaves, and parents once both children are full.
+    bed, order, node, links, rim, depth_out : ndarray. See `fill`.
+    water : float64 array (count,) [m]. Depth that lies in each node, summed over
+        its cells.
+    full : bool array (count,). Whether the node holds its capacity: its level is
+        the rim.
+    whole : bool array (count,). Whether its water has one level: leaves, and
+        parents once both children are full.
     """
     count = rim.size
     pool = np.empty(count, np.int32)  # the depression whose level a node shares, or DRAINED

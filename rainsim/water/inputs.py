@@ -129,14 +129,11 @@ def require_drops(rows, columns, volumes, shape):
 def mean_at_faces(values, h, bed, dry, axis):
     """Return the mean of the wet neighbours of each inner face along `axis`; 0 at closed faces.
 
-    Parameters
-    ----------
-    values, h, bed : ndarray of shape (ny, nx)
-        Velocity [m/s], flowing depth [m] and the height [m] on which it flows.
-    dry : float [m]
-        A face to a dry cell is closed unless the water stands that far above the cell's bed.
-    axis : int
-        1 for the faces between columns, 0 for those between rows.
+    values, h, bed : array (ny, nx). Velocity [m/s], flowing depth [m] and the
+        height [m] on which it flows.
+    dry : float [m]. A face to a dry cell is closed unless the water stands that
+        far above the cell's bed.
+    axis : int. 1 for the faces between columns, 0 for those between rows.
     """
     before, after = [slice(None)] * 2, [slice(None)] * 2
     before[axis], after[axis] = slice(None, -1), slice(1, None)

@@ -15,14 +15,8 @@ def past_rain_growth(terrain, config, exposure, begin=0.0):
     flow but is put where it would stand (fill, spill and merge), and the ledger does not hold what
     runs off or seeps away meanwhile.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    config : Config
-    exposure : ndarray of shape (ny, nx), float32
-        See `rain.exposure.rain_exposure`.
-    begin : float [s]
-        Time of the first state.
+    exposure : float32 array (ny, nx). See `rain.exposure.rain_exposure`.
+    begin : float [s]. Time of the first state.
     """
     past = [config.at(time).rain.past for time in config.key_times()]
     if np.ptp(past) == 0 or config.at(0.0).water.level is not None:

@@ -152,21 +152,16 @@ def step(
 ):  # fmt: skip
     """Advance depth from n to n+1 and velocity from n+1/2 to n+3/2 in the tiles of `runs`.
 
-    Parameters
-    ----------
-    runs : ndarray of shape (runs, 6), int64
-        See `rows.runs_of`.
-    tiles : ndarray of shape (tiles, 4), int64
-        First and last row + 1, first and last column + 1 of each tile.
-    water : Water
-        Depth at n and velocity at n+1/2.
-    bed : ndarray of shape (ny + 4, nx + 4) [m]
-        Height on which the water flows.
+    runs : int64 array (runs, 6). See `rows.runs_of`.
+    tiles : int64 array (tiles, 4). First and last row + 1, first and last column
+        + 1 of each tile.
+    water : Water. Depth at n and velocity at n+1/2.
+    bed : array (ny + 4, nx + 4) [m]. Height on which the water flows.
     numbers : StepNumbers
-    h_out, u_out, v_out : as h, u and v
-        `fill_velocity` sets the edge faces afterwards.
-    wave_speed_out, speed_out : ndarray of shape (tiles,) [m/s]
-        Largest `conserving.wave_speed` and largest speed of each tile.
+    h_out, u_out, v_out : as h, u and v. `fill_velocity` sets the edge faces
+        afterwards.
+    wave_speed_out, speed_out : array (tiles,) [m/s]. Largest
+        `conserving.wave_speed` and largest speed of each tile.
     """
     for t in prange(runs.shape[0]):
         step_run(

@@ -19,18 +19,12 @@ def without_nodata(bed, way):
     Where water leaves, it falls into a cell beside the map that is as low as its lowest neighbour,
     and is drained there.
 
-    Parameters
-    ----------
-    bed : ndarray of shape (ny, nx) [m]
-        NaN where there is no height.
-    way : {"closed", "open"}
-        Whether cells without a height are walls, or let the water go that reaches them.
-
-    Returns
-    -------
-    bed : ndarray of shape (ny, nx) [m]
-    absent : ndarray of shape (ny, nx), bool
-    drains : list of (row, column, rate [m3/s])
+    bed : array (ny, nx) [m]. NaN where there is no height.
+    way : {"closed", "open"}. Whether cells without a height are walls, or let the
+        water go that reaches them.
+    Returns bed : array (ny, nx) [m]
+        absent : bool array (ny, nx)
+        drains : list of (row, column, rate [m3/s])
     """
     absent = np.isnan(bed)
     if absent.all():

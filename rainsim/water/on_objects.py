@@ -16,20 +16,12 @@ SMALLEST_ROOM = 1e-30  # m3, keeps tops without water from a division by zero
 class Objects:
     """The water on objects above the ground, with its account; drips from them if asked for.
 
-    Parameters
-    ----------
-    surfaces : Surfaces
-    start : Config
-        Of time 0.
+    start : Config. Of time 0.
     tops : TopWater
-    dried : float [m]
-        What evaporation has taken from the tops.
-
-    Attributes
-    ----------
+    dried : float [m]. What evaporation has taken from the tops.
     drips : Drips or None
-    initial, inflow : float [m3]
-        What was on the objects when the account was opened, and what has risen from outside.
+    initial, inflow : float [m3]. What was on the objects when the account was
+        opened, and what has risen from outside.
     tops : TopWater
     """
 

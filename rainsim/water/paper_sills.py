@@ -22,20 +22,11 @@ def find_sills(bed, is_open):
 class Sill:
     """The higher last cells of one open edge.
 
-    Parameters
-    ----------
-    bed : ndarray of shape (ny, nx) [m]
-    sign : int
-        Of an outward velocity.
-    is_column : bool
-        Whether the last cells form a column.
-    last : {0, -1}
-        Its number, and that of the edge's faces.
-
-    Attributes
-    ----------
-    cells : ndarray of int
-        Places of the cells along the edge.
+    bed : array (ny, nx) [m]
+    sign : int. Of an outward velocity.
+    is_column : bool. Whether the last cells form a column.
+    last : {0, -1}. Its number, and that of the edge's faces.
+    cells : int array. Places of the cells along the edge.
     """
 
     def __init__(self, bed, sign, is_column, last):
@@ -69,16 +60,10 @@ class Sill:
     def give_back(self, k, h, h_out, remainder_out, dry):
         """Take what flowed in from below the step back to the neighbours.
 
-        Parameters
-        ----------
-        k : float [s/m]
-            Step / spacing.
-        h : ndarray of shape (ny, nx) [m]
-            Depth before the step.
-        h_out, remainder_out : ndarray of shape (ny, nx) [m]
-            Depth after the step; modified.
-        dry : float [m]
-            Depths below do not flow.
+        k : float [s/m]. Step / spacing.
+        h : array (ny, nx) [m]. Depth before the step.
+        h_out, remainder_out : array (ny, nx) [m]. Depth after the step; modified.
+        dry : float [m]. Depths below do not flow.
         """
         last, before = self._last, self._last + self._inward
         deep = self._lines(h)[before, self.cells].astype(np.float64)

@@ -29,14 +29,10 @@ def low_ground(terrain):
 class Puddles:
     """Standing water on a terrain, and the account of the water that left it.
 
-    Attributes
-    ----------
-    graph : SpillGraph
-        Which depression spills into which; built once.
-    depth : ndarray of shape (ny, nx), float64 [m]
-    volumes : dict of str to float [m3]
-        painted (stood there at the start), rain, outflow, infiltrated, evaporated, drained: since
-        the start.
+    graph : SpillGraph. Which depression spills into which; built once.
+    depth : float64 array (ny, nx) [m]
+    volumes : dict of str to float [m3]. painted (stood there at the start), rain,
+        outflow, infiltrated, evaporated, drained: since the start.
     """
 
     graph: SpillGraph

@@ -96,24 +96,17 @@ def footprint(diameter):
 class RippleTile:
     """A square of water, periodic in both directions.
 
-    Parameters
-    ----------
     size : float [m]
-    cells : int
-        Along each side; waves of two cells and longer are carried.
-    depth : float [m]
-        Of the water; it sets the speeds and the damping.
-    film : float
-        0 for clean water to 1 for water whose surface film does not stretch: street dirt.
-    rate : float [mm/h]
-        Of the rain that stirs the water; see `stirring`.
-    chord : float [m]
-        Mean way across the water, see `mean_chord`: its shores take the waves that reach them.
-    dtype : dtype
-        Of the state; float32 is good to a thousandth of a slope and twice as fast.
+    cells : int. Along each side; waves of two cells and longer are carried.
+    depth : float [m]. Of the water; it sets the speeds and the damping.
+    film : float. 0 for clean water to 1 for water whose surface film does not
+        stretch: street dirt.
+    rate : float [mm/h]. Of the rain that stirs the water; see `stirring`.
+    chord : float [m]. Mean way across the water, see `mean_chord`: its shores
+        take the waves that reach them.
+    dtype : dtype. Of the state; float32 is good to a thousandth of a slope and
+        twice as fast.
 
-    Notes
-    -----
     Each drop pushes the water down with a Gaussian of the width `footprint` of its size, one of
     three; the push is proportional to its momentum (Le Mehaute 1988, J. Fluid Mech. 197, 415), with
     a factor chosen such that a ring's energy goes with the momentum squared whatever its width, and
@@ -156,16 +149,13 @@ class RippleTile:
     def advance(self, duration, position=None, momentum=None, age=None):
         """Let the waves run for `duration` and add the rings of the drops that fell meanwhile.
 
-        Parameters
-        ----------
         duration : float [s]
-        position : ndarray of shape (n, 2 or more) [m] or None
-            Where drops fell; wrapped into the tile.
-        momentum : ndarray of shape (n,) [kg m/s]
-            Downward.
-        age : ndarray of shape (n,) [s] or None
-            Time since each fall when the step ends, 0 to `duration`; None for 0. Falls are put
-            together in sub-steps of at most 1/60 s.
+        position : array (n, 2 or more) [m] or None. Where drops fell; wrapped
+            into the tile.
+        momentum : array (n,) [kg m/s]. Downward.
+        age : array (n,) [s] or None. Time since each fall when the step ends, 0
+            to `duration`; None for 0. Falls are put together in sub-steps of at
+            most 1/60 s.
         """
         duration = require_not_negative("duration", duration, "s")
         steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
@@ -314,16 +304,11 @@ def ring_reach(depth, film=0.0, rate=0.0):
 def ring_share(rained, spacing, reach, weight):
     """Return the amplitude of rings over that in the open, ndarray of the shape of `rained`.
 
-    Parameters
-    ----------
-    rained : ndarray of shape (ny, nx), float32
-        Share of the rain that reaches each cell; beyond the map it goes on as at its edge.
+    rained : float32 array (ny, nx). Share of the rain that reaches each cell;
+        beyond the map it goes on as at its edge.
     spacing : float [m]
-    reach, weight : ndarray of shape (n,)
-        As `ring_reach` gives them.
+    reach, weight : array (n,). As `ring_reach` gives them.
 
-    Notes
-    -----
     Waves that spread evenly from where drops fall and fade with a path length l have the energy of
     a convolution with exp(-r / l) / (2 pi l r), in Fourier space 1 / sqrt(1 + (q l)^2). That the
     land stops them is left out.
@@ -380,14 +365,10 @@ _kept_carried = lru_cache(128)(_carried)
 def taller_rings(rings, height, sheltered):
     """Return amplitudes of rings whose heights are multiplied by `height`, also under cover.
 
-    Parameters
-    ----------
-    rings : ndarray of shape (ny, nx), float32
-        See `ring_share`.
+    rings : float32 array (ny, nx). See `ring_share`.
     height : float
-    sheltered : float
-        Share of the amplitude that runs in from the open where `rings` is 0: a pixel has
-        sheltered + (1 - sheltered) rings.
+    sheltered : float. Share of the amplitude that runs in from the open where
+        `rings` is 0: a pixel has sheltered + (1 - sheltered) rings.
     """
     if height == 1:
         return rings
@@ -398,21 +379,12 @@ def taller_rings(rings, height, sheltered):
 def block_reach(side, reach, weight):
     """Return how the energy of rings spreads from a block of water to those around, float32.
 
-    Parameters
-    ----------
-    side : float [m]
-        Of the blocks.
-    reach, weight : ndarray of shape (n,)
-        As `ring_reach` gives them.
+    side : float [m]. Of the blocks.
+    reach, weight : array (n,). As `ring_reach` gives them.
+    Returns float32 array (2 BLOCKS_AROUND + 1, 2 BLOCKS_AROUND + 1). Share of a
+        block's energy that each block around gets, over the energy on water with
+        a mean chord of USUAL_CHORD, see `RippleTile`. So the sum is more than 1.
 
-    Returns
-    -------
-    ndarray of shape (2 BLOCKS_AROUND + 1, 2 BLOCKS_AROUND + 1), float32
-        Share of a block's energy that each block around gets, over the energy on water with a mean
-        chord of USUAL_CHORD, see `RippleTile`. So the sum is more than 1.
-
-    Notes
-    -----
     Mean over the places in both blocks of what `ring_share` convolves with. Shores take what runs
     on to them, so only water gives energy; that waves pass narrow land here is wrong by little.
     """
@@ -434,23 +406,15 @@ def sheltered_rings(rings, share, rained, shelters, spacing, reach):
 
     Energy is a sum over the rain, so that what an actor keeps off is taken from what there was.
 
-    Parameters
-    ----------
-    rings, share, rained : ndarray of shape (ny, nx), float32
-        Without the actors: what is returned where there is none, `ring_share`, and the share of
-        the rain that it follows from.
-    shelters : list of (part, share)
-        Parts of the map, two slices, and the share of the rain there that an actor lets through.
+    rings, share, rained : float32 array (ny, nx). Without the actors: what is
+        returned where there is none, `ring_share`, and the share of the rain that
+        it follows from.
+    shelters : list of (part, share). Parts of the map, two slices, and the share
+        of the rain there that an actor lets through.
     spacing : float [m]
-    reach : tuple of ndarray
-        Reach and weight, as `ring_share` takes them.
-
-    Returns
-    -------
-    ndarray of shape (ny, nx), float32
-        `rings` itself without actors.
-    windows : list of tuple of slice
-        Rows and columns in which it differs.
+    reach : tuple of ndarray. Reach and weight, as `ring_share` takes them.
+    Returns float32 array (ny, nx). `rings` itself without actors.
+        windows : list of tuple of slice. Rows and columns in which it differs.
     """
     if not shelters:
         return rings, []
@@ -474,22 +438,13 @@ def tile_impacts(impacts, map_area, size, time):
     All drops of the map fall on it modulo the tile, which would be too many: each is kept with
     probability tile area over map area, over LAYERS, by its id.
 
-    Parameters
-    ----------
-    impacts : Impacts
-        Those on water or ground, of one step.
-    map_area : float [m2]
-        Area that they fell on.
-    size : float [m]
-        Side of the tile.
-    time : float [s]
-        End of the step.
-
-    Returns
-    -------
-    position : ndarray of shape (m, 2), float64 [m]
-    momentum : ndarray of shape (m,), float64 [kg m/s]
-    age : ndarray of shape (m,), float64 [s]
+    impacts : Impacts. Those on water or ground, of one step.
+    map_area : float [m2]. Area that they fell on.
+    size : float [m]. Side of the tile.
+    time : float [s]. End of the step.
+    Returns position : float64 array (m, 2) [m]
+        momentum : float64 array (m,) [kg m/s]
+        age : float64 array (m,) [s]
     """
     share = size**2 / require_positive("map area", map_area, "m2") / LAYERS
     chance = (mix(impacts.id) >> np.uint64(11)) * 2.0**-53

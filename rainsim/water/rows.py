@@ -32,8 +32,6 @@ def stack_row(typingctx, like, count):
 
     It must not leave the kernel, nor the turn of a parallel loop that made it.
 
-    Parameters
-    ----------
     like : ndarray
     count : literal int
     """
@@ -61,19 +59,13 @@ def runs_of(tiles, numbers, across):
 
     A kernel takes a run row by row: long rows keep vector lanes and memory streams full.
 
-    Parameters
-    ----------
-    tiles : ndarray of shape (tiles, 4), int64
-        First and last row + 1, first and last column + 1 of some of a map's tiles.
-    numbers : ndarray of shape (tiles,), int64
-        Places of these in all of the map's tiles, row by row, in rising order.
-    across : int
-        Tiles that the map has in a row.
-
-    Returns
-    -------
-    ndarray of shape (runs, 6), int64
-        First and last row + 1, first and last column + 1, first and last tile + 1 of each run.
+    tiles : int64 array (tiles, 4). First and last row + 1, first and last column
+        + 1 of some of a map's tiles.
+    numbers : int64 array (tiles,). Places of these in all of the map's tiles, row
+        by row, in rising order.
+    across : int. Tiles that the map has in a row.
+    Returns int64 array (runs, 6). First and last row + 1, first and last column +
+        1, first and last tile + 1 of each run.
     """
     place, row = numbers % across, numbers // across
     first = np.ones(len(numbers), bool)
@@ -109,12 +101,10 @@ def tile_maxima(run, tiles, tops, top_out):
 def tile_peaks(tiles, h, bed, deepest_out, highest_out):
     """Find the largest depth and the highest level of water in each of `tiles`.
 
-    Parameters
-    ----------
-    tiles : ndarray of shape (tiles, 4), int64
+    tiles : int64 array (tiles, 4)
     h, bed : ndarray of the shape of the maps [m]
-    deepest_out, highest_out : ndarray of shape (tiles,) [m]
-        Zero and minus infinity where all is dry.
+    deepest_out, highest_out : array (tiles,) [m]. Zero and minus infinity where
+        all is dry.
     """
     for t in prange(tiles.shape[0]):
         west, east = tiles[t, 2], tiles[t, 3]

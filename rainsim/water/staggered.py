@@ -13,28 +13,20 @@ TINY = 1e-9  # m, keeps 0 / 0 out of dry cells into which nothing flows
 class StaggeredFlow:
     """Depth at cell centres and velocity at faces, in two copies: a step writes the other one.
 
-    Parameters
-    ----------
-    bed : ndarray of the shape of the fields [m]
-        Height on which the water flows, of the type of all fields.
+    bed : ndarray of the shape of the fields [m]. Height on which the water flows,
+        of the type of all fields.
     spacing, gravity : float [m], [m/s2]
-    is_open : dict
-        Whether each edge is open.
-    roughness : ndarray of the shape of the fields, or None [s2 m^(-2/3)]
-        Square of Manning's n.
-    dry : float [m]
-        Depth below which water does not flow.
-    roundings : int
-        Rounding units of bed and depth within which levels are equal.
-
-    Attributes
-    ----------
-    pad, inner : int, tuple of slice
-        Rings of ghost cells, and the cells without them.
-    water : Water
-        The present copy; the remainder is that of both.
-    wave_speed, water_speed : float [m/s]
-        Of the fastest wave and of the fastest face.
+    is_open : dict. Whether each edge is open.
+    roughness : ndarray of the shape of the fields, or None [s2 m^(-2/3)]. Square
+        of Manning's n.
+    dry : float [m]. Depth below which water does not flow.
+    roundings : int. Rounding units of bed and depth within which levels are
+        equal.
+    pad, inner : int, tuple of slice. Rings of ghost cells, and the cells without
+        them.
+    water : Water. The present copy; the remainder is that of both.
+    wave_speed, water_speed : float [m/s]. Of the fastest wave and of the fastest
+        face.
     """
 
     pad, inner = 0, np.s_[:, :]

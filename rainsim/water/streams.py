@@ -38,13 +38,11 @@ LEVEL, ROOT, EAST, NORTH, SHARE, TOTAL = range(6)  # rows of a table of streams
 class Runoff(NamedTuple):
     """Runoff of the ground under a steady rain, on blocks of cells.
 
-    Attributes
-    ----------
-    level : ndarray of shape (rows, columns), float64 [m]
-        Of ground and standing water, hollows that water passes over filled.
-    east : ndarray of shape (rows, columns + 1), float64 [m3/s]
-        What runs through the faces between columns, positive to the east.
-    north : ndarray of shape (rows + 1, columns), float64 [m3/s]
+    level : float64 array (rows, columns) [m]. Of ground and standing water,
+        hollows that water passes over filled.
+    east : float64 array (rows, columns + 1) [m3/s]. What runs through the faces
+        between columns, positive to the east.
+    north : float64 array (rows + 1, columns) [m3/s]
     """
 
     level: np.ndarray
@@ -74,13 +72,8 @@ def block_cells(spacing):
 def run_off(terrain, standing, rain):
     """Return the `Runoff` of a terrain.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    standing : ndarray of shape (ny, nx) [m]
-        Depth of the water at rest.
-    rain : ndarray of shape (ny, nx) [m/s]
-        What reaches the ground.
+    standing : array (ny, nx) [m]. Depth of the water at rest.
+    rain : array (ny, nx) [m/s]. What reaches the ground.
     """
     grid = terrain.grid
     k = block_cells(grid.spacing)
@@ -103,17 +96,10 @@ def run_off(terrain, standing, rain):
 def with_streams(terrain, standing, rain):
     """Return the water at rest with the streams of a steady rain.
 
-    Parameters
-    ----------
-    terrain, standing, rain
-        As `run_off` takes them.
-
-    Returns
-    -------
-    depth : ndarray of shape (ny, nx), float64 [m]
-        At least `standing`.
-    velocity : ndarray of shape (2, ny, nx), float32 [m/s]
-        Of the streams and of the water at rest that they run through.
+    terrain, standing, rain. As `run_off` takes them.
+    Returns depth : float64 array (ny, nx) [m]. At least `standing`.
+        velocity : float32 array (2, ny, nx) [m/s]. Of the streams and of the
+            water at rest that they run through.
     """
     depth = np.array(standing, np.float64)
     velocity = np.zeros((2, *depth.shape), np.float32)
@@ -144,10 +130,8 @@ def with_streams(terrain, standing, rain):
 def is_bottom(level, x, y):
     """Return the mask of blocks beside whose stream no ground is much lower: bottoms of gutters.
 
-    Parameters
-    ----------
-    level, x, y : ndarray of shape (rows, columns)
-        Level [m], and discharge to the east and north.
+    level, x, y : array (rows, columns). Level [m], and discharge to the east and
+        north.
     """
     padded = np.pad(level, 1, mode="edge")
     falls = [level - np.minimum(padded[1:-1, :-2], padded[1:-1, 2:]),
@@ -179,13 +163,10 @@ def runs_over(bed, standing):
 def rims(bed, depth, pool, room_out):
     """Find the lowest rim of each pool and its level.
 
-    Parameters
-    ----------
-    bed, depth : ndarray of shape (ny, nx) [m]
-    pool : ndarray of shape (ny, nx), int32
-        Number of each cell's pool, 0 of dry ones.
-    room_out : ndarray of shape (2, pools + 1), float64 [m]
-        Lowest rim, -inf at the map's edge, and highest level. Infinite before.
+    bed, depth : array (ny, nx) [m]
+    pool : int32 array (ny, nx). Number of each cell's pool, 0 of dry ones.
+    room_out : float64 array (2, pools + 1) [m]. Lowest rim, -inf at the map's
+        edge, and highest level. Infinite before.
     """
     ny, nx = bed.shape
     room_out[1] = -np.inf
@@ -207,13 +188,10 @@ def rims(bed, depth, pool, room_out):
 def flood(surface, sink, level_out):
     """Fill the hollows of a surface up to their rims (Planchon and Darboux 2002, Catena 46).
 
-    Parameters
-    ----------
-    surface : ndarray of shape (rows, columns), float64 [m]
-    sink : ndarray of shape (rows, columns), bool
-        Where water ends; nothing is filled there.
-    level_out : ndarray of shape (rows, columns), float64 [m]
-        Rises by RISE at least from block to block, away from where water ends.
+    surface : float64 array (rows, columns) [m]
+    sink : bool array (rows, columns). Where water ends; nothing is filled there.
+    level_out : float64 array (rows, columns) [m]. Rises by RISE at least from
+        block to block, away from where water ends.
     """
     rows, columns = surface.shape
     for j in range(rows):
@@ -243,16 +221,13 @@ def flood(surface, sink, level_out):
 def route(level, source, sink, order, east_out, north_out):
     """Let the water of each block run on to its lower neighbours, in proportion to the fall.
 
-    Parameters
-    ----------
-    level : ndarray of shape (rows, columns), float64 [m]
-    source : ndarray of shape (rows, columns), float64 [m3/s]
-        Of each block; what comes from its neighbours is added.
-    sink : ndarray of shape (rows, columns), bool
-    order : ndarray of shape (rows * columns,), int64
-        The blocks, highest first.
-    east_out : ndarray of shape (rows, columns + 1), float64 [m3/s]
-    north_out : ndarray of shape (rows + 1, columns), float64 [m3/s]
+    level : float64 array (rows, columns) [m]
+    source : float64 array (rows, columns) [m3/s]. Of each block; what comes from
+        its neighbours is added.
+    sink : bool array (rows, columns)
+    order : int64 array (rows * columns,). The blocks, highest first.
+    east_out : float64 array (rows, columns + 1) [m3/s]
+    north_out : float64 array (rows + 1, columns) [m3/s]
     """
     rows, columns = level.shape
     for c in order:
@@ -288,21 +263,17 @@ def fill_sections(bed, k, spacing, x, y, root, share, table_out):
     It is the level at which friction balances the slope for all that runs through the section
     below it. Of streams that reach the same block the larger one counts.
 
-    Parameters
-    ----------
-    bed : ndarray of shape (ny, nx), float32 [m]
-    k : int
-        Cells along the side of a block.
+    bed : float32 array (ny, nx) [m]
+    k : int. Cells along the side of a block.
     spacing : float [m]
-    x, y : ndarray of shape (rows, columns), float64 [m2/s]
-        Discharge to the east and north.
-    root : ndarray of shape (rows, columns), float64 [m^(1/3)/s]
-        Square root of the slope over Manning's n.
-    share : ndarray of shape (rows, columns), float64
-        Of the depth that is laid; 0: the block is no bottom of a stream.
-    table_out : ndarray of shape (6, rows, columns), float64
-        LEVEL [m], ROOT, direction EAST and NORTH, SHARE, and the discharge TOTAL of the section
-        [m3/s]; before, those of each block by itself.
+    x, y : float64 array (rows, columns) [m2/s]. Discharge to the east and north.
+    root : float64 array (rows, columns) [m^(1/3)/s]. Square root of the slope
+        over Manning's n.
+    share : float64 array (rows, columns). Of the depth that is laid; 0: the block
+        is no bottom of a stream.
+    table_out : float64 array (6, rows, columns). LEVEL [m], ROOT, direction EAST
+        and NORTH, SHARE, and the discharge TOTAL of the section [m3/s]; before,
+        those of each block by itself.
     """
     ny, nx = bed.shape
     rows, columns = share.shape
@@ -360,20 +331,14 @@ def fill_sections(bed, k, spacing, x, y, root, share, table_out):
 def lay(bed, film, k, table, x, y, depth_out, velocity_out):
     """Lay the streams over the water at rest.
 
-    Parameters
-    ----------
-    bed, film : ndarray of shape (ny, nx), float32 [m]
-        Ground, and the depth on it that does not flow.
-    k : int
-        Cells along the side of a block.
-    table : ndarray of shape (6, rows, columns), float64
-        See `fill_sections`.
-    x, y : ndarray of shape (rows, columns), float64 [m2/s]
-        Discharge to the east and north, of what runs through water at rest.
-    depth_out : ndarray of shape (ny, nx), float64 [m]
-        The water at rest before.
-    velocity_out : ndarray of shape (2, ny, nx), float32 [m/s]
-        0 before.
+    bed, film : float32 array (ny, nx) [m]. Ground, and the depth on it that does
+        not flow.
+    k : int. Cells along the side of a block.
+    table : float64 array (6, rows, columns). See `fill_sections`.
+    x, y : float64 array (rows, columns) [m2/s]. Discharge to the east and north,
+        of what runs through water at rest.
+    depth_out : float64 array (ny, nx) [m]. The water at rest before.
+    velocity_out : float32 array (2, ny, nx) [m/s]. 0 before.
     """
     ny, nx = bed.shape
     rows, columns = x.shape

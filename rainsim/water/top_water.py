@@ -28,19 +28,13 @@ KIND = "tops"
 class TopWater:
     """How water stands on the level tops of a terrain.
 
-    Parameters
-    ----------
-    terrain : Terrain
-
-    Attributes
-    ----------
     tops : Tops
-    depths : ndarray of shape (k, rows, columns), float32 [m]
-        Of the puddles after each of RAINS, on the tops' patches.
-    drawn : ndarray of shape (k, rows, columns), float32 [m]
-        The same for pictures, see `over_gaps`.
-    volumes : ndarray of shape (k, n), float64 [m3]
-        What stands on each top then; the last is all that it holds.
+    depths : float32 array (k, rows, columns) [m]. Of the puddles after each of
+        RAINS, on the tops' patches.
+    drawn : float32 array (k, rows, columns) [m]. The same for pictures, see
+        `over_gaps`.
+    volumes : float64 array (k, n) [m3]. What stands on each top then; the last is
+        all that it holds.
     """
 
     def __init__(self, terrain):
@@ -130,11 +124,8 @@ def over_gaps(tops, depth):
     where the ray meets the fitted surface, some millimetres or centimetres beside: gaps in the
     depth would show a second time, as a line of thin film along each.
 
-    Parameters
-    ----------
-    tops : Tops
-    depth : ndarray of shape (rows, columns) [m]
-        On the patches of all tops, 0 where nothing holds water.
+    depth : array (rows, columns) [m]. On the patches of all tops, 0 where nothing
+        holds water.
     """
     drawn = np.zeros(depth.shape, np.float32)
     for k in np.flatnonzero(tops.level):

@@ -45,12 +45,10 @@ def tracks_of(rolls, terrain, depth, time, rain):
 def wear(ways, worn_out):
     """Raise how fresh tracks are to that of each way, their edges softened over a cell.
 
-    Parameters
-    ----------
-    ways : ndarray of shape (n, 7), float64
-        Place, way (both x, y) and half the width, in cells; freshness at the begin, from 0 to 1;
-        by how much it is more at the end. What is fresher than 1 is still to come.
-    worn_out : ndarray of shape (ny, nx), float32
+    ways : float64 array (n, 7). Place, way (both x, y) and half the width, in
+        cells; freshness at the begin, from 0 to 1; by how much it is more at the
+        end. What is fresher than 1 is still to come.
+    worn_out : float32 array (ny, nx)
     """
     ny, nx = worn_out.shape
     for n in range(len(ways)):

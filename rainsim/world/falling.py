@@ -41,12 +41,10 @@ COLUMNS = 7  # of `streaks.Line`
 class Falling(NamedTuple):
     """Lists at one moment; rows are place [m], velocity [m/s] and diameter [m].
 
-    Attributes
-    ----------
-    drops : ndarray of shape (n, 7), float64
-    droplets : ndarray of shape (m, 7), float64
-    crowns : ndarray of shape (k, 7), float64
-        Two ends [m] in place of place and velocity, and the thickness [m] of a thread between.
+    drops : float64 array (n, 7)
+    droplets : float64 array (m, 7)
+    crowns : float64 array (k, 7). Two ends [m] in place of place and velocity,
+        and the thickness [m] of a thread between.
     """
 
     drops: np.ndarray
@@ -57,18 +55,12 @@ class Falling(NamedTuple):
 def falling_at(state, field, surfaces, camera, render, film):
     """Return what falls before a camera at the time of a state, a `Falling`.
 
-    Parameters
-    ----------
     state : SimState
-    field : RainField or None
-        None without rain.
-    surfaces : Surfaces
-    camera : Camera
-        In the ground frame.
-    render : RenderConfig
-        Of that time.
-    film : float [m]
-        Water on what is not the ground, see `splash_pass.draw_splashes`.
+    field : RainField or None. None without rain.
+    camera : Camera. In the ground frame.
+    render : RenderConfig. Of that time.
+    film : float [m]. Water on what is not the ground, see
+        `splash_pass.draw_splashes`.
     """
     if field is None:
         none = np.zeros((0, COLUMNS))

@@ -17,13 +17,9 @@ Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 class Ground(NamedTuple):
     """The ground at the cells' centres, in the ground frame.
 
-    Attributes
-    ----------
-    points, normals : ndarray of shape (n, 3), float32 [m]
-    colors : ndarray of shape (n, 3), float32
-        Of the dry ground, linear.
-    quads : ndarray of shape (m, 4), int32
-        Counter-clockwise seen from above.
+    points, normals : float32 array (n, 3) [m]
+    colors : float32 array (n, 3). Of the dry ground, linear.
+    quads : int32 array (m, 4). Counter-clockwise seen from above.
     """
 
     points: np.ndarray
@@ -35,14 +31,10 @@ class Ground(NamedTuple):
 class Water(NamedTuple):
     """The surface of the puddles at one time.
 
-    Attributes
-    ----------
-    points : ndarray of shape (n, 3), float32 [m]
-        Their heights are the level of the water.
-    quads : ndarray of shape (m, 4), int32
-    depth : ndarray of shape (n,), float32 [m]
-    flow : ndarray of shape (n, 3), float32 [m/s]
-        Velocity of the water, level.
+    points : float32 array (n, 3) [m]. Their heights are the level of the water.
+    quads : int32 array (m, 4)
+    depth : float32 array (n,) [m]
+    flow : float32 array (n, 3) [m/s]. Velocity of the water, level.
     """
 
     points: np.ndarray

@@ -27,27 +27,14 @@ RAIN, CAPTURE, GLB = "rain.usdc", "capture.usdc", "ground.glb"
 def write_parts(folder, scene, terrain, cameras, config, parts, first, tell):
     """Write the parts of a scene in the rain into a folder.
 
-    Parameters
-    ----------
     folder : Path
-    scene : Scene
-    terrain : Terrain
-    cameras : sequence of Camera
-        One per frame or one for all, in the capture frame.
-    config : Config
-    parts : sequence of str
-        Among camera, ground, water, rain and capture.
-    first : float
-        Number of the first frame.
-    tell : callable
-        tell(stage, done, total) as frames go on.
-
-    Returns
-    -------
-    names : list of str
-        Of the files.
-    notes : list of str
-        What the files do not have.
+    cameras : sequence of Camera. One per frame or one for all, in the capture
+        frame.
+    parts : sequence of str. Among camera, ground, water, rain and capture.
+    first : float. Number of the first frame.
+    tell : callable. tell(stage, done, total) as frames go on.
+    Returns names : list of str. Of the files.
+        notes : list of str. What the files do not have.
     """
     moves = not {"camera", "water", "rain"}.isdisjoint(parts)
     clock = Clock(first, config.frames if moves else 0, config.fps)

@@ -55,11 +55,12 @@ def test_docstrings_name_the_real_parameters(path):
 
 
 def _documented(docstring):
-    """The names in a numpydoc Parameters section."""
+    """The names in a numpydoc Parameters section, or before the Returns of a short docstring."""
     match = re.search(r"^Parameters\n-+\n(.*?)(?=^\S[^\n]*\n-{3,}|\Z)", docstring, re.M | re.S)
+    match = match or re.search(r"(.*?)(?=^(Returns|Yields|Raises)\b|\Z)", docstring, re.M | re.S)
     names = []
-    for line in match[1].splitlines() if match else ():
-        if line and not line.startswith(" ") and (" : " in line or ":" not in line):
+    for line in match[1].splitlines():
+        if line and not line.startswith(" ") and " : " in line:
             names += [name.strip(" *") for name in line.partition(" : ")[0].split(",")]
     return [name for name in names if name.isidentifier()]
 

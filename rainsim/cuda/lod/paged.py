@@ -12,13 +12,10 @@ from rainsim.lod.paged import Held
 class ChunkPicture:
     """The chunks that one kind of picture is drawn of, frame after frame.
 
-    Parameters
-    ----------
-    paged : PagedRasterizer
-        Chooses them.
+    paged : PagedRasterizer. Chooses them.
     splats : DeviceRoom
-    rasterizers : callable
-        rasterizers() returns a list of the `Rasterizer` that draw them.
+    rasterizers : callable. rasterizers() returns a list of the `Rasterizer` that
+        draw them.
     """
 
     def __init__(self, paged, splats, rasterizers):

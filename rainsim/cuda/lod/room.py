@@ -21,17 +21,10 @@ from rainsim.splatting.prepared import LANES
 class DeviceRoom(DeviceSplats):
     """A room for chunks on the device; each `Rasterizer` draws those that were chosen for it.
 
-    Parameters
-    ----------
-    prepared : rainsim.raster.PreparedSplats
-        All places of a `ChunkRoom`, see `take`.
-
-    Attributes
-    ----------
-    sent : int
-        Bytes of chunks that were sent so far.
-    version : int
-        Changes when the arrays are replaced by larger ones.
+    prepared : rainsim.raster.PreparedSplats. All places of a `ChunkRoom`, see
+        `take`.
+    sent : int. Bytes of chunks that were sent so far.
+    version : int. Changes when the arrays are replaced by larger ones.
     """
 
     def __init__(self, prepared):

@@ -28,14 +28,9 @@ _SUMMERS = 64  # threads that add up the pixels of a cell
 class DropLight:
     """The light of drops over a picture.
 
-    Parameters
-    ----------
     frame : DeviceFrame
-
-    Attributes
-    ----------
-    drops, sheets : device array of shape (9, 13, 3), float32
-        See `rainsim.particles.drop_radiance.falling_light`.
+    drops, sheets : float32 device array (9, 13, 3). See
+        `rainsim.particles.drop_radiance.falling_light`.
     """
 
     def __init__(self, frame):
@@ -94,16 +89,12 @@ def fill_field(
 ):
     """Write the light of drops and splashes over a picture, a thread for each ray of a drop.
 
-    Parameters
-    ----------
-    environment : device array of shape (rows, columns, 3), float32
-    behind : Behind
-    everywhere : device array of shape (3,), float32
-    ground_from_camera : device array of shape (3, 3), float32
-    lens : device array of shape (4,), float32 [px]
-    size : device array of shape (2,), float32 [px]
-        Width and height of the picture.
-    drops_out, sheets_out : device array of shape (9, 13, 3), float32
+    environment : float32 device array (rows, columns, 3)
+    everywhere : float32 device array (3,)
+    ground_from_camera : float32 device array (3, 3)
+    lens : float32 device array (4,) [px]
+    size : float32 device array (2,) [px]. Width and height of the picture.
+    drops_out, sheets_out : float32 device array (9, 13, 3)
     """
     light = cuda.shared.array((_RAYS, 3), np.float32)
     columns = drops_out.shape[1]

@@ -24,12 +24,10 @@ _MOST = np.float32(np.inf)
 def read_depth(depth, columns_out, tile_depth_out):
     """Copy a depth picture column by column, and find each tile's greatest and least depth.
 
-    Parameters
-    ----------
-    depth : device array of shape (height, width), float32 [m]
-    columns_out : device array of shape (width * height,), float32 [m]
-    tile_depth_out : device array of shape (2, rows, columns), float32 [m]
-        One block of threads for each tile.
+    depth : float32 device array (height, width) [m]
+    columns_out : float32 device array (width * height,) [m]
+    tile_depth_out : float32 device array (2, rows, columns) [m]. One block of
+        threads for each tile.
     """
     room = cuda.shared.array((DEPTH_TILE, _DEPTH_PITCH), np.float32)
     ends = cuda.shared.array(2, np.int32)
@@ -61,10 +59,8 @@ def read_depth(depth, columns_out, tile_depth_out):
 def resolve(picture, alpha_out):
     """Turn summed optical depths into alpha, and blank them.
 
-    Parameters
-    ----------
-    picture : device array of shape (width * height,), int64
-    alpha_out : device array of shape (height, width), float32
+    picture : int64 device array (width * height,)
+    alpha_out : float32 device array (height, width)
     """
     room = cuda.shared.array((TILE, _PITCH), np.float32)
     height, width = alpha_out.shape

@@ -93,25 +93,19 @@ def list_splashes(
 ):  # fmt: skip
     """List the droplets, crowns and jets of listed impacts that splash in view.
 
-    Parameters
-    ----------
     lists : ImpactLists
-    per_list : int
-        Blocks of threads for each list.
-    velocity : device array of shape (CLASSES, 3), float64 [m/s]
+    per_list : int. Blocks of threads for each list.
+    velocity : float64 device array (CLASSES, 3) [m/s]
     sent : ShutterView
-    scene : SceneDepth
-        For the size of the picture.
-    water : WaterDepth
-        Its film a device array of shape (1,), float64 [m].
-    least : device array of shape (1,), int32
-        The smallest class of drops that may splash.
-    closed : device array of shape (1,), int32
-        A list that is not looked at: the next frame's step may be filling it meanwhile.
-    count_out : device array of shape (1,), int32
-        Raised by the number of lines, also of those for which there is no room.
-    lines_out : device array of shape (room, 7), float64
-        The columns of `particles.streaks.Line`.
+    scene : SceneDepth. For the size of the picture.
+    water : WaterDepth. Its film a device array of shape (1,), float64 [m].
+    least : int32 device array (1,). The smallest class of drops that may splash.
+    closed : int32 device array (1,). A list that is not looked at: the next
+        frame's step may be filling it meanwhile.
+    count_out : int32 device array (1,). Raised by the number of lines, also of
+        those for which there is no room.
+    lines_out : float64 device array (room, 7). The columns of
+        `particles.streaks.Line`.
     """
     chosen = cuda.shared.array(THREADS, np.int32)
     depths = cuda.shared.array((THREADS, 2), np.float64)  # of the scene and of the water there
@@ -160,14 +154,10 @@ def list_splashes(
 def draw_list(count, lines, sent, scene, picture):
     """Draw listed lines, a group of lanes for each.
 
-    Parameters
-    ----------
-    count, lines
-        As `list_splashes` left them.
+    count, lines. As `list_splashes` left them.
     sent : ShutterView
     scene : SceneDepth
-    picture : device array of shape (width * height,), int64
-        Added to.
+    picture : int64 device array (width * height,). Added to.
     """
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
     draw_lines(
@@ -179,22 +169,15 @@ def draw_list(count, lines, sent, scene, picture):
 class Splashes:
     """The splashes of a rain in a picture, drawn on a CUDA device.
 
-    Parameters
-    ----------
-    streaks : cuda.particles.streaks.Streaks
-        Of the same picture; its depth, camera and times are used, so it is updated and launched
-        before.
-    recent : cuda.rain.impact_history.RecentImpacts
-        What falls until the exposure's end.
-    water_depth : device array of shape (ny, nx), float32 [m]
-        Read by `launch`.
-
-    Attributes
-    ----------
-    alpha : device array of shape (height, width), float32
-        Share of light that splashes replace.
-    count : device array of shape (1,), int32
-        Lines, also those for which there was no room.
+    streaks : cuda.particles.streaks.Streaks. Of the same picture; its depth,
+        camera and times are used, so it is updated and launched before.
+    recent : cuda.rain.impact_history.RecentImpacts. What falls until the
+        exposure's end.
+    water_depth : float32 device array (ny, nx) [m]. Read by `launch`.
+    alpha : float32 device array (height, width). Share of light that splashes
+        replace.
+    count : int32 device array (1,). Lines, also those for which there was no
+        room.
     """
 
     def __init__(self, streaks, recent, water_depth):

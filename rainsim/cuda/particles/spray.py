@@ -25,14 +25,11 @@ BLOCK = (8, 4) if SIMULATED else (32, 8)  # threads, one a pixel
 def lay_clouds(many, clouds, boxes, lens, depth, alpha_out):
     """Put clouds before a picture; see the CPU's kernel.
 
-    Parameters
-    ----------
-    many : device array of shape (1,), int32
-    clouds, boxes : device array of shape (room, 5), float32, and (room, 4), int32
-        See `cloud_table`.
-    lens : device array of shape (7,), float32
-        Whose first four are fx, fy, cx, cy [px].
-    depth, alpha_out : device array of shape (height, width), float32
+    many : int32 device array (1,)
+    clouds, boxes : float32 device array (room, 5), and (room, 4), int32. See
+        `cloud_table`.
+    lens : float32 device array (7,). Whose first four are fx, fy, cx, cy [px].
+    depth, alpha_out : float32 device array (height, width)
     """
     column, row = cuda.grid(2)
     height, width = alpha_out.shape

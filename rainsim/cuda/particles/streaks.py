@@ -92,23 +92,16 @@ def _cube_of(task, counts, air):
 def list_drops(counts, air, sent, field, scene, sought_out, places_out, words_out, paths_out):
     """List the drops that may be in view, cube by cube.
 
-    Parameters
-    ----------
-    counts : device array of shape (CLASSES + 1,), int64
-        As in `drops.Columns`, but of cubes.
+    counts : int64 device array (CLASSES + 1,). As in `drops.Columns`, but of
+        cubes.
     air : SeenAir
     sent : ShutterView
-    field : DropField
-        Of device arrays.
+    field : DropField. Of device arrays.
     scene : SceneDepth
-    sought_out : device array of shape (1,), int32
-        Raised by the number of drops.
-    places_out : device array of shape (room, 4), int32
-        Class and cube.
-    words_out : device array of shape (room,), uint64
-        The drops' ids.
-    paths_out : device array of shape (room, PATH), float32
-        X to IS_CLEAR.
+    sought_out : int32 device array (1,). Raised by the number of drops.
+    places_out : int32 device array (room, 4). Class and cube.
+    words_out : uint64 device array (room,). The drops' ids.
+    paths_out : float32 device array (room, PATH). X to IS_CLEAR.
     """
     seen = cuda.shared.array((THREADS, 4), np.int32)  # class and cube
     corners = cuda.shared.array((THREADS, 6), np.float32)  # of each, first and last
@@ -189,20 +182,14 @@ def _path_of(word, cube, corners, air, field, view, scene):
 def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, large_out):
     """Find how much of their path the drops in view go before they meet something.
 
-    Parameters
-    ----------
-    sought, places, words
-        As `list_drops` left them.
+    sought, places, words. As `list_drops` left them.
     sent : ShutterView
     field : DropField
-    surfaces : HeightFields
-        Both of device arrays.
-    paths_out : device array of shape (room, PATH), float32
-        SHARE, 0 for drops that have ended and less for large ones, and DIAMETER.
-    many_out : device array of shape (1,), int32
-        Raised by the number of large ones.
-    large_out : device array of shape (MANY,), int32
-        Which they are.
+    surfaces : HeightFields. Both of device arrays.
+    paths_out : float32 device array (room, PATH). SHARE, 0 for drops that have
+        ended and less for large ones, and DIAMETER.
+    many_out : int32 device array (1,). Raised by the number of large ones.
+    large_out : int32 device array (MANY,). Which they are.
     """
     time, exposure = sent.time[0], sent.exposure[0]
     for n in range(cuda.grid(1), min(sought[0], words.shape[0]), cuda.gridsize(1)):
@@ -239,17 +226,12 @@ def _pixels(path, diameter, lens):
 def draw_field(sought, paths, lens, scene, picture):
     """Draw the drops in view except the large ones, a group of lanes for each.
 
-    Parameters
-    ----------
-    sought : device array of shape (1,), int32
-        Drops in view.
-    paths : device array of shape (room, PATH), float32
-        As `list_drops` and `follow` left them.
-    lens : device array of shape (7,), float32
-    scene : SceneDepth
-        Of device arrays.
-    picture : device array of shape (width * height,), int64
-        Added to.
+    sought : int32 device array (1,). Drops in view.
+    paths : float32 device array (room, PATH). As `list_drops` and `follow` left
+        them.
+    lens : float32 device array (7,)
+    scene : SceneDepth. Of device arrays.
+    picture : int64 device array (width * height,). Added to.
     """
     listed = min(sought[0], paths.shape[0])
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
@@ -262,11 +244,8 @@ def draw_field(sought, paths, lens, scene, picture):
 def draw_large(many, large, paths, lens, scene, picture):
     """Draw the large drops in view, a warp for each; see `draw_field`.
 
-    Parameters
-    ----------
-    many : device array of shape (1,), int32
-    large : device array of shape (MANY,), int32
-        As `follow` left them.
+    many : int32 device array (1,)
+    large : int32 device array (MANY,). As `follow` left them.
     paths, lens, scene, picture
     """
     listed = min(many[0], large.shape[0])
@@ -285,33 +264,19 @@ def _draw(row, share, lens, scene, picture):
 class Streaks:
     """The streaks of a rain in a picture, drawn on a CUDA device; twin of `streaks.draw_streaks`.
 
-    Parameters
-    ----------
-    field : RainField
-        Of the weather; `update` takes those of other times.
-    surfaces : Surfaces
+    field : RainField. Of the weather; `update` takes those of other times.
     width, height : int [px]
-    depth : device array of shape (height, width), float32 [m]
-        Read by `launch`.
+    depth : float32 device array (height, width) [m]. Read by `launch`.
     stream : cuda.stream
-
-    Attributes
-    ----------
-    alpha : device array of shape (height, width), float32
-        Share of light that drops replace.
-    room : int
-        Drops in view that the lists have room for.
-    version : int
-        Of the lists, see `cuda.graph.new_version`.
+    alpha : float32 device array (height, width). Share of light that drops
+        replace.
+    room : int. Drops in view that the lists have room for.
+    version : int. Of the lists, see `cuda.graph.new_version`.
     view : ShutterView
-    scene : SceneDepth
-        Both of device arrays, as the drawing kernels read them.
-    drips : cuda.rain.dripping.DripList or None
-        Drips that are drawn too.
-    spray : cuda.particles.spray.Spray or None
-        What tyres throw, drawn too.
-    surfaces : HeightFields
-        Of device arrays.
+    scene : SceneDepth. Both of device arrays, as the drawing kernels read them.
+    drips : cuda.rain.dripping.DripList or None. Drips that are drawn too.
+    spray : cuda.particles.spray.Spray or None. What tyres throw, drawn too.
+    surfaces : HeightFields. Of device arrays.
     """
 
     def __init__(self, field, surfaces, width, height, depth, stream=0):

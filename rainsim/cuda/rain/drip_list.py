@@ -35,15 +35,11 @@ LISTED, HANGING, AIRBORNE, FILM, LOST, RETURNED, FINE = range(BOOK)
 class Page(NamedTuple):
     """Listed drips, in no order.
 
-    Attributes
-    ----------
-    book : device array of shape (BOOK,), int64
-        The account, see LISTED to FINE.
-    table : device array of shape (room, DRIP), float64
-        See `rainsim.io.states.DRIP_COLUMNS`.
-    where : device array of shape (room,), int32
-        The point from which each parted.
-    ids : device array of shape (room,), uint64
+    book : int64 device array (BOOK,). The account, see LISTED to FINE.
+    table : float64 device array (room, DRIP). See
+        `rainsim.io.states.DRIP_COLUMNS`.
+    where : int32 device array (room,). The point from which each parted.
+    ids : uint64 device array (room,)
     """
 
     book: object
@@ -66,13 +62,9 @@ def cell_of(x, y, surfaces):
 def draw_drips(page, sent, scene, picture):
     """Draw listed drips in the streaks' picture, a group of lanes for each.
 
-    Parameters
-    ----------
-    page : Page
     sent : ShutterView
     scene : SceneDepth
-    picture : device array of shape (width * height,), int64
-        Added to.
+    picture : int64 device array (width * height,). Added to.
     """
     time, exposure, table, view = sent.time[0], sent.exposure[0], page.table, view_of(sent)
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
@@ -89,13 +81,9 @@ def draw_drips(page, sent, scene, picture):
 def list_drip_splashes(page, surfaces, sent, scene, water, count_out, lines_out):
     """List the droplets, crowns and jets of drips that have landed, a group of lanes for each.
 
-    Parameters
-    ----------
-    page : Page
-    surfaces : HeightFields
-        Of device arrays.
-    sent, scene, water, count_out, lines_out
-        As `splash_pass.list_splashes` has them.
+    surfaces : HeightFields. Of device arrays.
+    sent, scene, water, count_out, lines_out. As `splash_pass.list_splashes` has
+        them.
     """
     time, exposure, focal = sent.time[0], sent.exposure[0], focal_of(sent.lens)
     table = page.table
@@ -123,16 +111,10 @@ def list_drip_splashes(page, surfaces, sent, scene, water, count_out, lines_out)
 class DripList:
     """Drips in the air and those that have just landed, on the device, in no order.
 
-    Parameters
-    ----------
     room : int
     stream : cuda.stream
-
-    Attributes
-    ----------
     page : Page
-    version : int
-        See `cuda.graph.new_version`.
+    version : int. See `cuda.graph.new_version`.
     """
 
     def __init__(self, room, stream=0):

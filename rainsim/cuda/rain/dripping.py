@@ -71,15 +71,11 @@ START, STOP, WIND_X, WIND_Y, FINER = range(NOW)
 class Sites(NamedTuple):
     """The points from which drops part.
 
-    Attributes
-    ----------
-    keys : device array of shape (sites,), uint64
-    sites : device array of shape (sites, SITE), float64
-        See X to WIND.
-    ends : device array of shape (sites + 1, 4), int32
-        See NEXT to CELLS; the last row is all that reaches no edge.
-    point : device array of shape (ny, nx), int32
-        As `rainsim.rain.dripping.Drips` has it.
+    keys : uint64 device array (sites,)
+    sites : float64 device array (sites, SITE). See X to WIND.
+    ends : int32 device array (sites + 1, 4). See NEXT to CELLS; the last row is
+        all that reaches no edge.
+    point : int32 device array (ny, nx). As `rainsim.rain.dripping.Drips` has it.
     """
 
     keys: object
@@ -95,27 +91,21 @@ def drip(
 ):  # fmt: skip
     """Let drops part, fall and land in an interval, and list those that show after it.
 
-    Parameters
-    ----------
-    now : device array of shape (NOW,), float64
-        See START to FINER.
+    now : float64 device array (NOW,). See START to FINER.
     points : Sites
-    surfaces : HeightFields
-        Of device arrays.
-    before : Page
-        The drops that the step before has listed.
+    surfaces : HeightFields. Of device arrays.
+    before : Page. The drops that the step before has listed.
     layout : CellLayout
     tile : RippleTile
-    came : device array of shape (sites + 1,), int64 [VOLUME_UNIT]
-        Water that has come to each point; blanked.
-    store, room, parted : device arrays of shape (sites,), int64
-        Water at each edge, how much the films still take [VOLUME_UNIT], drops so far; modified.
-    came_out : device array of shape (sites + 1,), int64 [VOLUME_UNIT]
-        Water that has come for the next interval; added to.
-    book_out, table_out, where_out, ids_out : device arrays
-        The page that this step writes; `book_out` is blank.
-    waiting_out, pushes_out
-        As in `drops.settle`.
+    came : int64 device array (sites + 1,) [VOLUME_UNIT]. Water that has come to
+        each point; blanked.
+    store, room, parted : device arrays of shape (sites,), int64. Water at each
+        edge, how much the films still take [VOLUME_UNIT], drops so far; modified.
+    came_out : int64 device array (sites + 1,) [VOLUME_UNIT]. Water that has come
+        for the next interval; added to.
+    book_out, table_out, where_out, ids_out : device arrays. The page that this
+        step writes; `book_out` is blank.
+    waiting_out, pushes_out. As in `drops.settle`.
     """
     sums = cuda.shared.array(THREADS, np.int64)
     hanging, flying, taken, lost, returned, finer = _part(
@@ -312,28 +302,20 @@ def _land(flight, site, now, points, surfaces, layout, tile, came_out, waiting_o
 class Drips:
     """The water on the objects of a map and the drops that leave them, on a CUDA device.
 
-    Parameters
-    ----------
-    drips : rainsim.rain.dripping.Drips
-        Its state is copied; its seed, wind and places are those of the map.
-    impacts : Impacts
-        What falls on the objects; its lists are settled before `launch`.
-    rate : float [m/s]
-        Of the heaviest rain.
-    interval : float [s]
-        Of a step.
-    roughness : float [m]
-        Of the land.
+    drips : rainsim.rain.dripping.Drips. Its state is copied; its seed, wind and
+        places are those of the map.
+    impacts : Impacts. What falls on the objects; its lists are settled before
+        `launch`.
+    rate : float [m/s]. Of the heaviest rain.
+    interval : float [s]. Of a step.
+    roughness : float [m]. Of the land.
     stream : cuda.stream
-
-    Attributes
-    ----------
     pages : list of DripList
-    point : device array of shape (ny, nx), int32
-    came : list of device array of shape (points + 1,), int64 [VOLUME_UNIT]
-        Water that has come to each point, by the page of the step that takes it up.
-    account : pinned array of shape (BOOK,), int64
-        The book at the end of the last step that is done.
+    point : int32 device array (ny, nx)
+    came : list of int64 device array (points + 1,) [VOLUME_UNIT]. Water that has
+        come to each point, by the page of the step that takes it up.
+    account : pinned array of shape (BOOK,), int64. The book at the end of the
+        last step that is done.
     """
 
     def __init__(self, drips, impacts, rate, interval, roughness, stream=0):

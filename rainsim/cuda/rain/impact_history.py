@@ -22,26 +22,16 @@ from rainsim.particles.splash import LONGEST_LIFE
 class RecentImpacts(Impacts):
     """The impacts of the last moments, interval by interval; each is listed once.
 
-    Parameters
-    ----------
-    weather : Weather
-        Of a rain.
-    surfaces : Surfaces
-    rate : float [Hz]
-        Interval n is from n to n + 1 over this.
-    ahead : int
-        Intervals after a frame's time that its exposure sees.
+    weather : Weather. Of a rain.
+    rate : float [Hz]. Interval n is from n to n + 1 over this.
+    ahead : int. Intervals after a frame's time that its exposure sees.
     stream : cuda.stream
-
-    Attributes
-    ----------
-    relisted : bool
-        Whether what drops meet moves from frame to frame: then `list_again` lists all but the last
-        interval for each frame, by what they meet at its time.
-    listed : Event
-        Of the last `list_beside`.
-    fallen : ndarray of shape (1,), int64
-        `obstacles` on the host, when what `settle` has queued is done.
+    relisted : bool. Whether what drops meet moves from frame to frame: then
+        `list_again` lists all but the last interval for each frame, by what they
+        meet at its time.
+    listed : Event. Of the last `list_beside`.
+    fallen : int64 array (1,). `obstacles` on the host, when what `settle` has
+        queued is done.
     """
 
     def __init__(self, weather, surfaces, rate, ahead, stream=0):

@@ -21,18 +21,11 @@ BLOCKS = ("patch_high", "around_high")
 class MovingHeights:
     """The height fields of a terrain with the actors on it, on a device.
 
-    Parameters
-    ----------
-    still : Surfaces
-        Without what moves.
+    still : Surfaces. Without what moves.
     footprints : sequence of Footprint
     stream : numba.cuda.stream
-
-    Attributes
-    ----------
-    fields : HeightFields
-        Of device arrays, at fixed addresses, with a sky above all that the actors ever reach: a
-        recorded queue holds them.
+    fields : HeightFields. Of device arrays, at fixed addresses, with a sky above
+        all that the actors ever reach: a recorded queue holds them.
     """
 
     def __init__(self, still, footprints, stream):
@@ -59,17 +52,12 @@ class MovingHeights:
 class Shelter:
     """What moves over the water of a device keeps the rain off it.
 
-    Parameters
-    ----------
-    terrain : Terrain
-        With footprints.
-    wind : tuple
-        As `MovingSurfaces` takes it, and the roughness.
-    exposure : ndarray of shape (ny, nx), float32
-        Share of the rain that reaches the ground, without what moves.
+    terrain : Terrain. With footprints.
+    wind : tuple. As `MovingSurfaces` takes it, and the roughness.
+    exposure : float32 array (ny, nx). Share of the rain that reaches the ground,
+        without what moves.
     water : rainsim.cuda.grid.Water
-    impacts : RecentImpacts or None
-        The drops that are listed there, if it rains.
+    impacts : RecentImpacts or None. The drops that are listed there, if it rains.
     """
 
     def __init__(self, terrain, wind, exposure, water, impacts):

@@ -29,15 +29,11 @@ CLASS, KIND, ROW, COLUMN = range(LABELS)
 class ImpactLists(NamedTuple):
     """Lists of drops that ended, as `fill_impacts` writes them.
 
-    Attributes
-    ----------
-    found : device array of shape (slots,), int32
-        Drops in each list, also those for which it has no room.
-    values : device array of shape (slots, room, VALUES), float64
-        See X to TIME.
-    labels : device array of shape (slots, room, LABELS), int32
-        See CLASS to COLUMN.
-    ids : device array of shape (slots, room), uint64
+    found : int32 device array (slots,). Drops in each list, also those for which
+        it has no room.
+    values : float64 device array (slots, room, VALUES). See X to TIME.
+    labels : int32 device array (slots, room, LABELS). See CLASS to COLUMN.
+    ids : uint64 device array (slots, room)
     """
 
     found: object
@@ -49,12 +45,8 @@ class ImpactLists(NamedTuple):
 class CellLayout(NamedTuple):
     """Where the cells of a map lie in the water solver's arrays: see `rainsim.cuda.grid.Water`.
 
-    Attributes
-    ----------
-    first, width : int
-        Place of the first cell, and from one row to the next.
-    area : float [m2]
-        Of a cell.
+    first, width : int. Place of the first cell, and from one row to the next.
+    area : float [m2]. Of a cell.
     """
 
     first: int
@@ -65,14 +57,10 @@ class CellLayout(NamedTuple):
 class RippleTile(NamedTuple):
     """The periodic tile on which drops ring.
 
-    Attributes
-    ----------
-    size : float [m]
-        Side.
-    steps, cells : int
-        Parts of an interval, and cells along a side.
-    share : device array of shape (1,), float64
-        Of the drops on the ground that ring on the tile.
+    size : float [m]. Side.
+    steps, cells : int. Parts of an interval, and cells along a side.
+    share : float64 device array (1,). Of the drops on the ground that ring on the
+        tile.
     """
 
     size: float
@@ -87,29 +75,23 @@ def settle(
 ):
     """Give the water of listed drops to the cells that they fell on, and some to the ripples.
 
-    Parameters
-    ----------
     lists : ImpactLists
-    times : device array of shape (2,), float64 [s]
-        Start and end.
-    slot : device array of shape (1,), int32
-        Which of the lists.
-    fall : device array of shape (CLASSES,), float64 [m/s]
-        Fall speeds.
-    layout : CellLayout
-        Of `waiting_out`.
+    times : float64 device array (2,) [s]. Start and end.
+    slot : int32 device array (1,). Which of the lists.
+    fall : float64 device array (CLASSES,) [m/s]. Fall speeds.
+    layout : CellLayout. Of `waiting_out`.
     tile : RippleTile
-    point : device array of shape (ny, nx), int32
-        The point of `came_out` that a cell's water goes to; negative: the last.
-    waiting_out : device array, int64
-        Depth that waits in each cell, in `step_control.UNIT`; added to.
-    obstacles_out : device array of shape (1,), int64
-        Volume that fell on obstacles, in VOLUME_UNIT; added to.
-    came_out : device array of shape (points + 1,), int64
-        The same by the point that it goes to; added to. Of shape (0,): nothing drips.
-    pushes_out : device array of shape (ripples.SIZES * 2 * maps * cells * cells,), int64
-        Momentum by size of the drops, part of the interval (two in a map) and cell of the tile, in
-        PUSH_UNIT; added to.
+    point : int32 device array (ny, nx). The point of `came_out` that a cell's
+        water goes to; negative: the last.
+    waiting_out : device array, int64. Depth that waits in each cell, in
+        `step_control.UNIT`; added to.
+    obstacles_out : int64 device array (1,). Volume that fell on obstacles, in
+        VOLUME_UNIT; added to.
+    came_out : int64 device array (points + 1,). The same by the point that it
+        goes to; added to. Of shape (0,): nothing drips.
+    pushes_out : int64 device array (ripples.SIZES * 2 * maps * cells * cells,).
+        Momentum by size of the drops, part of the interval (two in a map) and
+        cell of the tile, in PUSH_UNIT; added to.
     """
     which, values, labels = slot[0], lists.values, lists.labels
     listed = min(lists.found[which], lists.ids.shape[1])

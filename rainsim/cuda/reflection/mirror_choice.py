@@ -173,21 +173,12 @@ def choose_levels(count, first_bin, most, everywhere, served_out, wanted_out):
 class LevelChoice:
     """The levels at which the water of one picture after another is mirrored.
 
-    Parameters
-    ----------
-    reflections : {"auto", "mirror", "ssr"}
-        "mirror" takes one level for all water, "ssr" none.
-    lowest : float [m]
-        Of the ground that carries the water.
-
-    Attributes
-    ----------
-    most : int
-        Levels that a picture may have.
-    served : device array of shape (most or 1, 3), float64 [m]
-        See `choose_levels`.
-    extent : device array of shape (4,), int32
-        See `count_heights`.
+    reflections : {"auto", "mirror", "ssr"}. "mirror" takes one level for all
+        water, "ssr" none.
+    lowest : float [m]. Of the ground that carries the water.
+    most : int. Levels that a picture may have.
+    served : float64 device array (most or 1, 3) [m]. See `choose_levels`.
+    extent : int32 device array (4,). See `count_heights`.
     """
 
     def __init__(self, reflections, lowest):

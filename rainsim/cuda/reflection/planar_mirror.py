@@ -165,15 +165,10 @@ def coarsen(window, picture, coarse_out):
 class MirrorPass(NamedTuple):
     """A mirrored picture's rasterizer, stream and arrays, which no other picture shares.
 
-    Attributes
-    ----------
     rasterizer : Rasterizer
-    stream : numba.cuda.stream
-        That all of its work is queued on.
-    eye : device array of shape (3,), float32 [m]
-        The mirrored camera's place.
-    done : Event
-        When the picture is finished.
+    stream : numba.cuda.stream. That all of its work is queued on.
+    eye : float32 device array (3,) [m]. The mirrored camera's place.
+    done : Event. When the picture is finished.
     """
 
     rasterizer: object
@@ -185,19 +180,12 @@ class MirrorPass(NamedTuple):
 class Mirrors:
     """The wet capture as cameras mirrored at the levels of the water see it.
 
-    Parameters
-    ----------
-    frame : rainsim.cuda.render.device_frame.DeviceFrame
-        Owns the buffers of the picture itself.
-    reflections : {"auto", "mirror", "ssr"}
-        See `LevelChoice`.
-
-    Attributes
-    ----------
-    arrays : MirrorArrays
-        The pictures as kernels take them, one for each pass of a queue; only the window is drawn.
-    chunks : ChunkPicture or None
-        What all passes draw of a capture in chunks.
+    frame : rainsim.cuda.render.device_frame.DeviceFrame. Owns the buffers of the
+        picture itself.
+    reflections : {"auto", "mirror", "ssr"}. See `LevelChoice`.
+    arrays : MirrorArrays. The pictures as kernels take them, one for each pass of
+        a queue; only the window is drawn.
+    chunks : ChunkPicture or None. What all passes draw of a capture in chunks.
     """
 
     def __init__(self, frame, reflections):

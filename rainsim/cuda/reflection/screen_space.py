@@ -65,15 +65,11 @@ def find_hits(hit, coverage, tall, bounds, camera, settings, mirror_range, dista
 
     In a kernel of its own, so that many threads are there to wait for memory.
 
-    Parameters
-    ----------
     camera : View
-    settings : device array of shape (3,), float32
-        Of `ssr.MarchSettings`.
-    mirror_range : device array of shape (k, 3), float32 [m]
-        See `MirrorArrays`.
-    distance_out : ndarray of shape (height, width), float32 [m]
-        What `rainsim.ssr.march` returns; only where it was asked.
+    settings : float32 device array (3,). Of `ssr.MarchSettings`.
+    mirror_range : float32 device array (k, 3) [m]. See `MirrorArrays`.
+    distance_out : float32 array (height, width) [m]. What `rainsim.ssr.march`
+        returns; only where it was asked.
     """
     column, row = cuda.grid(2)
     height, width = coverage.shape

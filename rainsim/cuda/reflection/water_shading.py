@@ -29,26 +29,19 @@ def shade_water(
 ):  # fmt: skip
     """Write the picture with the water on it: ripples, reflection, refraction, the sun's glint.
 
-    Parameters
-    ----------
-    hit, coverage : device arrays of shape (height, width), float32
-        As `ray_water.meet_water` left them.
-    distance : device array of shape (height, width), float32 [m]
-        As `screen_space.find_hits` left it.
-    background : Background
-    tall : device array of shape (height, width), float32 [m]
-        As `screen_space.keep_tall` left it.
+    hit, coverage : device arrays of shape (height, width), float32. As
+        `ray_water.meet_water` left them.
+    distance : float32 device array (height, width) [m]. As
+        `screen_space.find_hits` left it.
+    tall : float32 device array (height, width) [m]. As `screen_space.keep_tall`
+        left it.
     camera : View
-    water_map : WaterMap
     tops : TopMaps
-    ripples : Ripples
-    environment, gloss : device array of shape (rows, columns, 3), float32
-        The surroundings, and blurred, which sloping tops mirror.
-    settings : device array of shape (3,), float32
-        Of `ssr.MarchSettings`.
+    environment, gloss : float32 device array (rows, columns, 3). The
+        surroundings, and blurred, which sloping tops mirror.
+    settings : float32 device array (3,). Of `ssr.MarchSettings`.
     mirrors : MirrorArrays
-    optics : Optics
-    picture_out : device array of shape (height, width, 3), float32
+    picture_out : float32 device array (height, width, 3)
     """
     column, row = cuda.grid(2)
     height, width = coverage.shape

@@ -250,25 +250,19 @@ def soften(rough, surface, narrow, over_out, highest):
 class WaterSurface:
     """The surface over a device's water.
 
-    Parameters
-    ----------
-    bed, relief : ndarray of shape (ny, nx), float32 [m]
-    mirrors : ndarray of shape (ny, nx), bool
-        See `rainsim.reflection.water_surface.water_surface`.
-    depth : device array of shape (ny, nx), float32 [m]
-        Of the water; read at each launch.
-    reach : ndarray of shape (2 n + 1, 2 n + 1), float32
-        See `rainsim.water.ripples.block_reach`.
+    bed, relief : float32 array (ny, nx) [m]
+    mirrors : bool array (ny, nx). See
+        `rainsim.reflection.water_surface.water_surface`.
+    depth : float32 device array (ny, nx) [m]. Of the water; read at each launch.
+    reach : float32 array (2 n + 1, 2 n + 1). See
+        `rainsim.water.ripples.block_reach`.
     stream : numba.cuda.stream
-
-    Attributes
-    ----------
-    surface, over : device arrays of shape (ny, nx), float32 [m]
-        Height of the surface, depth of the water that pictures show.
-    highest : device array of shape (1,), float32 [m]
-        Of the surface where there is water; NO_HEIGHT if there is none.
-    shores : device array of shape (rows, columns), float32
-        See `rainsim.reflection.puddle_rings`.
+    surface, over : device arrays of shape (ny, nx), float32 [m]. Height of the
+        surface, depth of the water that pictures show.
+    highest : float32 device array (1,) [m]. Of the surface where there is water;
+        NO_HEIGHT if there is none.
+    shores : float32 device array (rows, columns). See
+        `rainsim.reflection.puddle_rings`.
     """
 
     def __init__(self, bed, relief, mirrors, depth, reach, stream):

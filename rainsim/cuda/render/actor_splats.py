@@ -15,16 +15,9 @@ from rainsim.rain.moving_surfaces import FRAMES_AHEAD
 class MovingActors:
     """The actors in the scene of a `DeviceFrame`.
 
-    Parameters
-    ----------
     frame : DeviceFrame
-
-    Attributes
-    ----------
-    heights : MovingHeights or None
-        None where no actor keeps the rain off.
-    spray : Spray or None
-        None where no tyre can throw anything.
+    heights : MovingHeights or None. None where no actor keeps the rain off.
+    spray : Spray or None. None where no tyre can throw anything.
     """
 
     def __init__(self, frame):

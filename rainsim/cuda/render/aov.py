@@ -16,8 +16,6 @@ from rainsim.shading.composite import RainLight
 class AovReader:
     """Computes the AOVs of the frame that a device has finished.
 
-    Parameters
-    ----------
     frame : DeviceFrame
     """
 
@@ -30,10 +28,7 @@ class AovReader:
 
         They stand in the conductor's `Frame` afterwards.
 
-        Parameters
-        ----------
-        names : sequence of str
-            Of `aov.AOVS`.
+        names : sequence of str. Of `aov.AOVS`.
         state : SimState or DeviceState
         """
         frame, conductor = self._frame, self._frame.conductor

@@ -30,32 +30,19 @@ from rainsim.ssr import bounds_of
 class DeviceFrame:
     """Buffers of one frame after another; `frame["depth"]` is a device array.
 
-    Parameters
-    ----------
-    conductor : Conductor
-        Its capture's rasterizer draws on the device.
-    stream : numba.cuda.stream
-        That the frame's main queue lies on.
-
-    Attributes
-    ----------
-    rasterizer : rainsim.cuda.raster.Rasterizer
-        Of the capture; of one in chunks not `PagedScene.drawer`, which draws for the host.
-    chunks : ChunkPicture or None
-        What `rasterizer` draws of a capture in chunks.
-    place : tuple
-        Corner (2,) and spacing [m] of the map.
-    uniforms : FrameUniforms
-        Numbers that change from frame to frame.
+    conductor : Conductor. Its capture's rasterizer draws on the device.
+    stream : numba.cuda.stream. That the frame's main queue lies on.
+    rasterizer : rainsim.cuda.raster.Rasterizer. Of the capture; of one in chunks
+        not `PagedScene.drawer`, which draws for the host.
+    chunks : ChunkPicture or None. What `rasterizer` draws of a capture in chunks.
+    place : tuple. Corner (2,) and spacing [m] of the map.
+    uniforms : FrameUniforms. Numbers that change from frame to frame.
     passes : Passes
-    pending : list of callable
-        Copies to the device that the next frame needs before its queue starts.
-    look : tuple
-        Numbers of what changes the look of the next frame of a camera.
-    size : tuple of int or None
-        Height and width [px].
-    tile : float32 [m]
-        Side of the tile of ripples.
+    pending : list of callable. Copies to the device that the next frame needs
+        before its queue starts.
+    look : tuple. Numbers of what changes the look of the next frame of a camera.
+    size : tuple of int or None. Height and width [px].
+    tile : float32 [m]. Side of the tile of ripples.
     """
 
     def __init__(self, conductor, stream):

@@ -31,16 +31,10 @@ MOST_TRIES = 8  # of a frame for which there was too little room
 class Flight:
     """A frame that is on its way.
 
-    Attributes
-    ----------
-    shot : tuple
-        Camera, state and the camera as the shutter closes.
-    look : tuple
-        See `DeviceFrame`.
-    begin : float [s]
-        When its queue began.
-    picture : HostPicture or None
-        That it is copied to; None: not yet.
+    shot : tuple. Camera, state and the camera as the shutter closes.
+    look : tuple. See `DeviceFrame`.
+    begin : float [s]. When its queue began.
+    picture : HostPicture or None. That it is copied to; None: not yet.
     """
 
     shot: tuple
@@ -57,16 +51,10 @@ class Flight:
 class Recordings:
     """The recorded queues of the frames of a device, as long as nothing changes that they hold.
 
-    Parameters
-    ----------
     frame : DeviceFrame
-    shore : numba.cuda.stream
-        That the water's surface is found on.
-
-    Attributes
-    ----------
-    splats, dry, still : Graph or None
-        What is splatted, what else needs no water, and that of a still camera: the uniforms alone.
+    shore : numba.cuda.stream. That the water's surface is found on.
+    splats, dry, still : Graph or None. What is splatted, what else needs no
+        water, and that of a still camera: the uniforms alone.
     """
 
     def __init__(self, frame, shore):
@@ -137,11 +125,8 @@ class Recordings:
 class HostPicture:
     """A picture on the host that one of the device is copied to.
 
-    Attributes
-    ----------
-    values : ndarray of shape (height, width, 3), uint8
-    copied : Event
-        Of the last copy.
+    values : uint8 array (height, width, 3)
+    copied : Event. Of the last copy.
     """
 
     def __init__(self):
@@ -182,15 +167,9 @@ class HostPictures:
 class FrameQueue:
     """Queues frames on the device and finishes them on the host.
 
-    Parameters
-    ----------
     frame : DeviceFrame
-
-    Attributes
-    ----------
     pictures : HostPictures
-    done : Flight or None
-        The frame whose picture is on the host.
+    done : Flight or None. The frame whose picture is on the host.
     """
 
     def __init__(self, frame):
@@ -229,12 +208,8 @@ class FrameQueue:
         A frame's queue is whole as soon as it is known that the one before had room for all, which
         is before that is composed. Then the next shot is asked for and prepared.
 
-        Parameters
-        ----------
-        shots : iterable
-            Of (camera, state, camera_end).
-        report : callable
-            Called as soon as the picture of a shot is on the host.
+        shots : iterable. Of (camera, state, camera_end).
+        report : callable. Called as soon as the picture of a shot is on the host.
         """
         checked = flying = None  # frames: one whose picture is not yet shown, and the one after
         self.pictures.last.copied.synchronize()

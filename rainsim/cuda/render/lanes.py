@@ -15,12 +15,9 @@ from rainsim.render.frame import reads_of
 class Launch(NamedTuple):
     """How a pass is queued.
 
-    Attributes
-    ----------
-    queue : callable
-        queue(stream) queues the work of the pass.
-    lane : numba.cuda.stream or None
-        That it lies on; None: the main lane of its part.
+    queue : callable. queue(stream) queues the work of the pass.
+    lane : numba.cuda.stream or None. That it lies on; None: the main lane of its
+        part.
     """
 
     queue: object
@@ -30,11 +27,9 @@ class Launch(NamedTuple):
 class Lanes:
     """Queues the parts of a frame.
 
-    Parameters
-    ----------
     passes : sequence of Pass
-    launches : dict of str to Launch
-        By the names of the passes; what has no entry is computed with the passes that read it.
+    launches : dict of str to Launch. By the names of the passes; what has no
+        entry is computed with the passes that read it.
     """
 
     def __init__(self, passes, launches):

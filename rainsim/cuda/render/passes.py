@@ -27,26 +27,18 @@ from rainsim.shading.composite import RainCover, RainLight
 class Passes:
     """The passes of the frames of a device, with their tables there.
 
-    Parameters
-    ----------
     frame : DeviceFrame
-
-    Attributes
-    ----------
     mirrors : Mirrors
     ground_light : WetGroundLight
     drop_light : DropLight
     surface : WaterSurface
-    glare : Glare or None
-        None: lamps have no halos.
-    actors : MovingActors or None
-        None in scenes without actors.
+    glare : Glare or None. None: lamps have no halos.
+    actors : MovingActors or None. None in scenes without actors.
     rain : RainPass
-    lanes : Lanes
-        What is queued beside what.
-    launches : dict of str to Launch
-        By the names of the passes. What is no pass of the device has no entry: the reflection is
-        found where the water is shaded.
+    lanes : Lanes. What is queued beside what.
+    launches : dict of str to Launch. By the names of the passes. What is no pass
+        of the device has no entry: the reflection is found where the water is
+        shaded.
     """
 
     def __init__(self, frame):

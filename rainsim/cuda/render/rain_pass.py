@@ -23,24 +23,16 @@ from rainsim.shading.composite import RainCover
 class RainPass:
     """Draws streaks, splashes, drips and spray before a picture.
 
-    Parameters
-    ----------
     frame : rainsim.cuda.render.device_frame.DeviceFrame
     actors : MovingActors or None
-    surface : WaterSurface
-        Of the water that splashes are thrown from.
-
-    Attributes
-    ----------
-    streaks : Streaks or None
-        None where neither rain falls nor tyres throw anything.
-    splashes : Splashes or None
-        None without rain.
-    impacts : RecentImpacts or None
-        What fell in the last moments, for states of the host, and where actors move: a frame shows
-        what fell on them as they stand at its time.
-    drips : DripList or None
-        For states of the host.
+    surface : WaterSurface. Of the water that splashes are thrown from.
+    streaks : Streaks or None. None where neither rain falls nor tyres throw
+        anything.
+    splashes : Splashes or None. None without rain.
+    impacts : RecentImpacts or None. What fell in the last moments, for states of
+        the host, and where actors move: a frame shows what fell on them as they
+        stand at its time.
+    drips : DripList or None. For states of the host.
     """
 
     def __init__(self, frame, actors, surface):

@@ -33,14 +33,12 @@ class Renderer:
     Takes the states that the CPU's simulation yields, or those of `rainsim.cuda.simulation`, whose
     water stays on the device.
 
-    Attributes
-    ----------
-    conductor : Conductor
-        Scene, light, weather and ground; its capture's rasterizer draws on the device.
+    conductor : Conductor. Scene, light, weather and ground; its capture's
+        rasterizer draws on the device.
     frame : DeviceFrame
     queue : FrameQueue
-    takes_any_height : bool
-        No: memory is allocated again and queues are recorded again.
+    takes_any_height : bool. No: memory is allocated again and queues are recorded
+        again.
     """
 
     takes_any_height = False

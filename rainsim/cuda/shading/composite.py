@@ -21,10 +21,8 @@ def compose(picture, depth, drops, light, camera, brightness, image_out):
 
     Parameters are those of the CPU's kernel but for these.
 
-    Parameters
-    ----------
     camera : View
-    brightness : device array of shape (1,), float32
+    brightness : float32 device array (1,)
     """
     column, row = cuda.grid(2)
     height, width = depth.shape

@@ -28,13 +28,11 @@ def dazzles(pixel, least):
 def list_dazzling(picture, brightness, column_out, count_out):
     """List the columns of each row's dazzling pixels; a block for each row.
 
-    Parameters
-    ----------
-    picture : device array of shape (height, width, 3), float32
-    brightness : device array of shape (1,), float32
-    column_out : device array of shape (height, width), int32
-        Its first columns are written.
-    count_out : device array of shape (height,), int32
+    picture : float32 device array (height, width, 3)
+    brightness : float32 device array (1,)
+    column_out : int32 device array (height, width). Its first columns are
+        written.
+    count_out : int32 device array (height,)
     """
     counts = cuda.shared.array(THREADS, np.int32)
     row, lane, width = cuda.blockIdx.x, cuda.threadIdx.x, picture.shape[1]
@@ -60,13 +58,10 @@ def list_dazzling(picture, brightness, column_out, count_out):
 def add_halos(picture, brightness, column, count, spread, dazzling_out):
     """Add to each pixel the light that dazzling pixels scatter into it.
 
-    Parameters
-    ----------
-    picture, brightness, column, count
-        As `list_dazzling` has them.
-    spread : device array of shape (height, width), float32
-        What a pixel scatters into one so many rows and columns away.
-    dazzling_out : device array of shape (height, width, 3), float32
+    picture, brightness, column, count. As `list_dazzling` has them.
+    spread : float32 device array (height, width). What a pixel scatters into one
+        so many rows and columns away.
+    dazzling_out : float32 device array (height, width, 3)
     """
     i, j = cuda.grid(2)
     if j >= picture.shape[0] or i >= picture.shape[1]:
@@ -89,8 +84,6 @@ def add_halos(picture, brightness, column, count, spread, dazzling_out):
 class Glare:
     """The halos of lamps in one frame after another.
 
-    Parameters
-    ----------
     frame : DeviceFrame
     """
 

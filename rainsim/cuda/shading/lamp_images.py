@@ -50,20 +50,14 @@ class Bright(NamedTuple):
 def mark_bright(picture, depth, size, horizon, is_fine, share, pixels_out, light_out):
     """Find the bright pixels of a level picture, a thread for each of its squares.
 
-    Parameters
-    ----------
-    picture, depth : device array
-        The arrays may be larger than the picture.
-    size : device array of shape (2,), float32
-        Columns and rows that are drawn.
-    horizon : int
-        First row that counts.
-    is_fine : bool
-        Whether it is the finer picture, which counts for nothing where `share` is small.
-    share : device array of shape (1,), float64
-        Of the light of the coarse picture that is lamps'.
-    pixels_out, light_out : device array
-        See `Bright`.
+    picture, depth : device array. The arrays may be larger than the picture.
+    size : float32 device array (2,). Columns and rows that are drawn.
+    horizon : int. First row that counts.
+    is_fine : bool. Whether it is the finer picture, which counts for nothing
+        where `share` is small.
+    share : float64 device array (1,). Of the light of the coarse picture that is
+        lamps'.
+    pixels_out, light_out : device array. See `Bright`.
     """
     n = cuda.grid(1)
     width, height = int(size[0]), int(size[1])
@@ -83,17 +77,11 @@ def gather_lamps(
 ):  # fmt: skip
     """Make lamps of bright pixels, in the order of the squares; one block of GATHERERS.
 
-    Parameters
-    ----------
-    picture, depth, size, is_fine
-        As `mark_bright` takes them.
-    lens, eye, forward : device array
-        As `lamp_search.find_lamps` takes them.
-    bright : Bright
-    share_out : device array of shape (1,), float64
-        Written by the coarse picture.
-    many_out : device array of shape (1,), int32
-    lamps_out : device array of shape (room, NUMBERS), float32
+    picture, depth, size, is_fine. As `mark_bright` takes them.
+    lens, eye, forward : device array. As `lamp_search.find_lamps` takes them.
+    share_out : float64 device array (1,). Written by the coarse picture.
+    many_out : int32 device array (1,)
+    lamps_out : float32 device array (room, NUMBERS)
     """
     counts = cuda.shared.array(GATHERERS, np.int32)
     light = cuda.shared.array((GATHERERS, 2), np.float64)
@@ -192,17 +180,12 @@ class Search:
     def launch(self, seen, size, horizon, camera, is_fine, found, stream):
         """Queue the search.
 
-        Parameters
-        ----------
-        seen : tuple
-            Picture and depth.
-        size, horizon
-            As `mark_bright` takes them.
-        camera : tuple
-            Lens, eye and forward.
+        seen : tuple. Picture and depth.
+        size, horizon. As `mark_bright` takes them.
+        camera : tuple. Lens, eye and forward.
         is_fine : bool
-        found : tuple
-            Share, number of lamps and lamps, as `gather_lamps` writes them.
+        found : tuple. Share, number of lamps and lamps, as `gather_lamps` writes
+            them.
         stream : numba.cuda.stream
         """
         grid = -(-len(self._bright.pixels) // THREADS), THREADS, stream
@@ -213,14 +196,8 @@ class Search:
 class FinePicture:
     """The level picture at FINE_RESOLUTION, by which the lamps of dark scenes are found.
 
-    Parameters
-    ----------
-    splats : DeviceSplats
-        Of the level picture.
+    splats : DeviceSplats. Of the level picture.
     stream : numba.cuda.stream
-
-    Attributes
-    ----------
     rasterizer : Rasterizer
     """
 
@@ -244,18 +221,10 @@ class FinePicture:
 class Lamps:
     """The lamps that the wet ground of one frame after another mirrors.
 
-    Parameters
-    ----------
-    splats : DeviceSplats
-        Of the level picture.
+    splats : DeviceSplats. Of the level picture.
     stream : numba.cuda.stream
-
-    Attributes
-    ----------
-    fine : FinePicture or None
-        None until a frame has needed it.
-    version : int
-        Of the arrays, see `cuda.graph.new_version`.
+    fine : FinePicture or None. None until a frame has needed it.
+    version : int. Of the arrays, see `cuda.graph.new_version`.
     """
 
     def __init__(self, splats, stream):

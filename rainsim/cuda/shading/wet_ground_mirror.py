@@ -142,22 +142,13 @@ def add_reflection(bare, cover, field, step, picture_out):
 class LevelView:
     """The level picture of the frames of a device: what stands on the ground, mirrored.
 
-    Parameters
-    ----------
     frame : DeviceFrame
-    stream : numba.cuda.stream
-        That it is splatted on.
-    drawn : bool
-        Whether it is; else it stands for one that shows nothing.
-
-    Attributes
-    ----------
-    size : device array of shape (2,), float32
-        Columns and rows that are drawn; the arrays may be larger.
-    lamps : Lamps or None
-        None: the scene has none.
-    chunks : ChunkPicture or None
-        What is drawn of a capture in chunks.
+    stream : numba.cuda.stream. That it is splatted on.
+    drawn : bool. Whether it is; else it stands for one that shows nothing.
+    size : float32 device array (2,). Columns and rows that are drawn; the arrays
+        may be larger.
+    lamps : Lamps or None. None: the scene has none.
+    chunks : ChunkPicture or None. What is drawn of a capture in chunks.
     """
 
     def __init__(self, frame, stream, drawn):
@@ -311,17 +302,11 @@ class LevelView:
 class WetGroundLight:
     """The light that wet ground mirrors in the frames of a device.
 
-    Parameters
-    ----------
-    frame : DeviceFrame
-        The film of its conductor's ground says whether the level picture is drawn.
-
-    Attributes
-    ----------
-    stream : numba.cuda.stream
-        That the level picture and the field are drawn on.
-    level : LevelView or None
-        None: the film's cover is not found, nor its reflection added.
+    frame : DeviceFrame. The film of its conductor's ground says whether the level
+        picture is drawn.
+    stream : numba.cuda.stream. That the level picture and the field are drawn on.
+    level : LevelView or None. None: the film's cover is not found, nor its
+        reflection added.
     """
 
     def __init__(self, frame):

@@ -35,16 +35,11 @@ def grade_layers(
 ):
     """Queue the grading and wetting of the layers of a rasterizer.
 
-    Parameters
-    ----------
     frame : DeviceFrame
     rasterizer : rainsim.cuda.raster.Rasterizer
-    shape : tuple of int
-        Height and width of its picture [px].
-    turn, eye : device array
-        Of its camera, in the ground frame.
-    picture, depth, clearance, cover : device array
-        What is written.
+    shape : tuple of int. Height and width of its picture [px].
+    turn, eye : device array. Of its camera, in the ground frame.
+    picture, depth, clearance, cover : device array. What is written.
     stream : numba.cuda.stream
     mirrored : bool
     """
@@ -75,15 +70,12 @@ def grade_and_wet(
 
     Parameters are those of the CPU's kernel but for these.
 
-    Parameters
-    ----------
-    size : device array of shape (2,), float32
-        Columns and rows [px] of the part that was drawn.
+    size : float32 device array (2,). Columns and rows [px] of the part that was
+        drawn.
     camera : View
-    rain : device array of shape (fields,), float32
-        An `OffGroundWetness`, see `off_ground_from`.
-    look : device array of shape (fields,), float32
-        A `Look`, see `look_from`.
+    rain : float32 device array (fields,). An `OffGroundWetness`, see
+        `off_ground_from`.
+    look : float32 device array (fields,). A `Look`, see `look_from`.
     """
     column, row = cuda.grid(2)
     if row >= size[1] or column >= size[0]:

@@ -27,22 +27,18 @@ def pose_splats(
 ):
     """Put splats where their actors are; chunks of none are not drawn.
 
-    Parameters
-    ----------
-    owner : device array of shape (chunks,), int32
-        Actor of each chunk; -1 for none.
-    poses : device array of shape (actors, 12), float32
-    mixing : device array of shape (actors, k, k), float32
-        Takes the k harmonics of a channel to those after the turn.
-    boxes : device array of shape (chunks, 6), float32
-        Middle and half sides of each chunk's box in its actor's frame.
-    geometry : device array of shape (chunks, 13, 256), float32
-        See `PreparedSplats`, in the actors' frames.
-    sh : device array of shape (chunks, 3 k, 256), float32
-    groups : int
-        Of eight halves, see `project.splat_color`.
-    box_out, span_out, geometry_out, sh_out
-        Of a `DeviceSplats`, whose first chunks are written.
+    owner : int32 device array (chunks,). Actor of each chunk; -1 for none.
+    poses : float32 device array (actors, 12)
+    mixing : float32 device array (actors, k, k). Takes the k harmonics of a
+        channel to those after the turn.
+    boxes : float32 device array (chunks, 6). Middle and half sides of each
+        chunk's box in its actor's frame.
+    geometry : float32 device array (chunks, 13, 256). See `PreparedSplats`, in
+        the actors' frames.
+    sh : float32 device array (chunks, 3 k, 256)
+    groups : int. Of eight halves, see `project.splat_color`.
+    box_out, span_out, geometry_out, sh_out. Of a `DeviceSplats`, whose first
+        chunks are written.
     """
     place = cuda.grid(1)
     chunk, lane = place // LANES, place % LANES
@@ -98,17 +94,13 @@ def pose_splats(
 def hide_low(chunks, ground, bed, corner, cell, least, least_outside, geometry_out):
     """Hide the splats that do not stand on the ground, see `wet_ground_mirror.standing`.
 
-    Parameters
-    ----------
-    chunks : int
-        The first ones, which are looked at.
-    ground : device array of shape (12,), float32
-        Takes the capture frame to the ground frame [m], as a pose.
-    bed : device array of shape (ny, nx), float32 [m]
-    corner : device array of shape (2,), float32 [m]
+    chunks : int. The first ones, which are looked at.
+    ground : float32 device array (12,). Takes the capture frame to the ground
+        frame [m], as a pose.
+    bed : float32 device array (ny, nx) [m]
+    corner : float32 device array (2,) [m]
     cell, least, least_outside : float32 [m]
-    geometry_out
-        Of a `DeviceSplats`.
+    geometry_out. Of a `DeviceSplats`.
     """
     place = cuda.grid(1)
     chunk, lane = place // LANES, place % LANES
@@ -130,14 +122,10 @@ def hide_low(chunks, ground, bed, corner, cell, least, least_outside, geometry_o
 class PosedActors:
     """The actors of a `DeviceSplats`, one moment after another.
 
-    Parameters
-    ----------
-    splats : DeviceSplats
-        With room for all parts.
-    parts : sequence of PreparedSplats
-        Of each actor, in its frame; harmonics of the degree of `splats`.
-    turning : sequence of bool
-        Whether the harmonics of each turn with it.
+    splats : DeviceSplats. With room for all parts.
+    parts : sequence of PreparedSplats. Of each actor, in its frame; harmonics of
+        the degree of `splats`.
+    turning : sequence of bool. Whether the harmonics of each turn with it.
     """
 
     def __init__(self, splats, parts, turning):
@@ -198,14 +186,9 @@ class PosedActors:
     def order(self, static, shown, first):
         """Return the numbers of all places' splats, those of the static set behind the actors'.
 
-        Parameters
-        ----------
-        static : ndarray of shape (n,), int32
-            Of the static set.
-        shown : sequence of bool
-            Which actors are there: only they have numbers.
-        first : int
-            Of the first of them.
+        static : int32 array (n,). Of the static set.
+        shown : sequence of bool. Which actors are there: only they have numbers.
+        first : int. Of the first of them.
         """
         found = np.full(self._room * LANES, NOBODY, np.int32)
         for begin, order, seen in zip(self._first, self._orders, shown, strict=False):

@@ -24,23 +24,15 @@ MOST_NUMBERS = 1 << 24  # whole numbers that a float32 tells apart
 class DeviceSplats:
     """Prepared splats on the device: sent once, shared by all pictures.
 
-    Parameters
-    ----------
-    prepared : rainsim.raster.PreparedSplats
-        The static set.
-    room : int
-        Chunks of actors that there is room for.
-
-    Attributes
-    ----------
-    chunks, static, leading : int
-        Chunks with the room, without it, and with it those that were not to come last.
-    count : int
-        Splats, at most.
-    rank : device array of shape (chunks,), int32
-        The order in which splats of one depth are taken.
-    version : int
-        Of the arrays, see `cuda.graph.new_version`; 0: they are never replaced.
+    prepared : rainsim.raster.PreparedSplats. The static set.
+    room : int. Chunks of actors that there is room for.
+    chunks, static, leading : int. Chunks with the room, without it, and with it
+        those that were not to come last.
+    count : int. Splats, at most.
+    rank : int32 device array (chunks,). The order in which splats of one depth
+        are taken.
+    version : int. Of the arrays, see `cuda.graph.new_version`; 0: they are never
+        replaced.
     """
 
     version = 0
@@ -98,11 +90,8 @@ class DeviceSplats:
     def put_actors(self, merged):
         """Send the actors of a merged set; the device must draw nothing meanwhile.
 
-        Parameters
-        ----------
-        merged : PreparedSplats
-            Of `splatting.merged.Merger`: chunks of actors, then those of the static set, which are
-            on the device already.
+        merged : PreparedSplats. Of `splatting.merged.Merger`: chunks of actors,
+            then those of the static set, which are on the device already.
         """
         used, room = len(merged.box) - self.static, self.room
         first = room - used
@@ -146,15 +135,10 @@ class DeviceSplats:
     def of_digits(self, digits):
         """Return the splats that pictures of digits show, see `project.number_records`.
 
-        Parameters
-        ----------
-        digits : sequence of ndarray, float32
-            One for each of `divisors`; infinite where no splat stops half of the light.
-
-        Returns
-        -------
-        ndarray, int32
-            Index in the scene that was prepared, actors behind it; -1 for none.
+        digits : sequence of ndarray, float32. One for each of `divisors`;
+            infinite where no splat stops half of the light.
+        Returns ndarray, int32. Index in the scene that was prepared, actors
+            behind it; -1 for none.
         """
         seen = np.isfinite(digits[0])
         hit, number = np.full(seen.shape, -1, np.int32), -self._first * LANES

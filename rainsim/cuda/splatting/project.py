@@ -73,16 +73,13 @@ def start(
 ):  # fmt: skip
     """Empty the lists of the frame before; mark the chunks that may touch the picture.
 
-    Parameters
-    ----------
-    box, span, around : device array of shape (chunks, 6), (chunks, 2) and (chunks, 6), float32
-        `box`, `span` and `reach` of the prepared splats.
-    view, lens, size, near, plane : device array
-        Numbers of the camera: pose (3, 4), lens, width and height, the four from NEAR on, plane.
+    box, span, around : device array of shape (chunks, 6), (chunks, 2) and
+        (chunks, 6), float32. `box`, `span` and `reach` of the prepared splats.
+    view, lens, size, near, plane : device array. Numbers of the camera: pose (3,
+        4), lens, width and height, the four from NEAR on, plane.
     orthographic : bool
-    seen_out : device array of shape (chunks,), bool
-    key_out, range_out, total : device array
-        The lists.
+    seen_out : bool device array (chunks,)
+    key_out, range_out, total : device array. The lists.
     """
     i = cuda.grid(1)
     if i == 0:

@@ -46,27 +46,19 @@ from rainsim.cuda.water.step_control import (
 class Account:
     """Volumes, speeds and times of a `Water`, which the device keeps.
 
-    Parameters
-    ----------
-    solver : WaterSolver
-        Whose account goes on here.
-    exposure : ndarray of shape (ny, nx), float32
-        Share of the rain that falls on each cell.
-    blocks : int
-        Most blocks of a launch.
+    solver : WaterSolver. Whose account goes on here.
+    exposure : float32 array (ny, nx). Share of the rain that falls on each cell.
+    blocks : int. Most blocks of a launch.
     stream : cuda.stream
-
-    Attributes
-    ----------
-    control, state, now, numbers, partial : device arrays
-        See the constants of `step_control`.
+    control, state, now, numbers, partial : device arrays. See the constants of
+        `step_control`.
     courant : float
-    open : ndarray of shape (ny, nx), float32
-        Share of the rain that falls on each cell where nothing that moves shelters it.
-    exposed : float
-        Sum over the cells of the share of the rain that falls on each.
-    seen : ndarray of shape (CONTROL,), float64
-        `control` as the host has it since the last `copy` was done.
+    open : float32 array (ny, nx). Share of the rain that falls on each cell where
+        nothing that moves shelters it.
+    exposed : float. Sum over the cells of the share of the rain that falls on
+        each.
+    seen : float64 array (CONTROL,). `control` as the host has it since the last
+        `copy` was done.
     """
 
     def __init__(self, solver, exposure, blocks, stream):

@@ -18,18 +18,12 @@ DEPTH, U, V, REMAINDER, FILM, WAITING, NUMBERS = range(7)
 def read_cells(cells, count, state, w, remainder, film, waiting, table_out):
     """Copy the numbers of some cells into a table.
 
-    Parameters
-    ----------
-    cells : device array of shape (room,), int64
-        Their places.
+    cells : int64 device array (room,). Their places.
     count : int
-    state : device array
-        See `step_control`.
-    w, remainder, film : device arrays, float32
-        As `flow.step` has them.
-    waiting : device array, int64
-        As `step_control.take_in` has it.
-    table_out : device array of shape (NUMBERS, room), float64
+    state : device array. See `step_control`.
+    w, remainder, film : device arrays, float32. As `flow.step` has them.
+    waiting : device array, int64. As `step_control.take_in` has it.
+    table_out : float64 device array (NUMBERS, room)
     """
     n = cuda.grid(1)
     if n < count:
@@ -48,13 +42,10 @@ def write_cells(
 ):  # fmt: skip
     """Copy a table back to the cells that `read_cells` read, and book what changed.
 
-    Parameters
-    ----------
-    cells, count, state
-        As `read_cells` takes them.
-    table : device array of shape (NUMBERS, room), float64
-    dropped, taken : float [m]
-        Depths of drops that no longer wait, and of water taken, summed over the cells.
+    cells, count, state. As `read_cells` takes them.
+    table : float64 device array (NUMBERS, room)
+    dropped, taken : float [m]. Depths of drops that no longer wait, and of water
+        taken, summed over the cells.
     control_out, w_out, remainder_out, film_out, waiting_out : device arrays
     """
     n = cuda.grid(1)
@@ -73,18 +64,10 @@ def write_cells(
 class Cells:
     """Some cells of a `Water`, each named once.
 
-    Parameters
-    ----------
     water : rainsim.cuda.grid.Water
-    room : int
-        Cells that there is room for at first.
-
-    Attributes
-    ----------
-    places : ndarray of shape (cells,), int64
-        See `Water.places`.
-    on_device : device array of shape (room,), int64
-        The same.
+    room : int. Cells that there is room for at first.
+    places : int64 array (cells,). See `Water.places`.
+    on_device : int64 device array (room,). The same.
     """
 
     def __init__(self, water, room):

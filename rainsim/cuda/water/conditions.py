@@ -29,11 +29,9 @@ FIRST = "west", "south"  # the edges at which rows and columns begin
 def walls_at(condition, shape, is_open):
     """Return the walls that a condition's cells touch, its own edge last.
 
-    Returns
-    -------
-    list of (edge, last, near)
-        The row or column [cells] of the last cells before the wall, and the slice of the rows or
-        columns near the condition.
+    Returns list of (edge, last, near). The row or column [cells] of the last
+        cells before the wall, and the slice of the rows or columns near the
+        condition.
     """
     (rows, columns), found = condition.at, []
     for edge in sorted(EDGES, key=lambda edge: edge == condition.edge):
@@ -47,16 +45,10 @@ def walls_at(condition, shape, is_open):
 class Edges:
     """The conditions of a solver, for a `Water` of its map.
 
-    Parameters
-    ----------
     water : rainsim.cuda.grid.Water
-    solver : WaterSolver
-        On the host; its conditions are used and changed, and of its fields the strip along them.
-
-    Attributes
-    ----------
-    came, left : float [m3]
-        Volumes that the conditions brought and took.
+    solver : WaterSolver. On the host; its conditions are used and changed, and of
+        its fields the strip along them.
+    came, left : float [m3]. Volumes that the conditions brought and took.
     """
 
     def __init__(self, water, solver):

@@ -91,17 +91,12 @@ def rows_for(ny, wide):
 class Maps(NamedTuple):
     """Maps of the ground: device arrays of shape (cells,), float32.
 
-    Attributes
-    ----------
     bed : [m]
-    roughness : [s2 m^(-2/3)]
-        Square of Manning's n.
-    exposure :
-        Share of the rain that falls here.
-    infiltration : [m/s]
-        Rate that the ground takes; negative: rate that a drain takes.
-    storage : [m]
-        Depth held back.
+    roughness : [s2 m^(-2/3)]. Square of Manning's n.
+    exposure : Share of the rain that falls here.
+    infiltration : [m/s]. Rate that the ground takes; negative: rate that a drain
+        takes.
+    storage : [m]. Depth held back.
     """
 
     bed: object
@@ -114,14 +109,11 @@ class Maps(NamedTuple):
 class Layout(NamedTuple):
     """Layout of the cells in memory and among threads.
 
-    Attributes
-    ----------
-    ny, nx, pitch : int
-        Cells with their ghosts, and numbers from one row to the next.
-    rows : int
-        Of cells that a thread marches through.
-    kinds : int
-        Bits of the open edges, WEST, EAST, SOUTH, NORTH, and RUBS where there is friction.
+    ny, nx, pitch : int. Cells with their ghosts, and numbers from one row to the
+        next.
+    rows : int. Of cells that a thread marches through.
+    kinds : int. Bits of the open edges, WEST, EAST, SOUTH, NORTH, and RUBS where
+        there is friction.
     """
 
     ny: int
@@ -153,20 +145,15 @@ def step(
 ):  # fmt: skip
     """Advance depth from n to n+1, velocity from n+1/2 to n+3/2; then rain and infiltration.
 
-    Parameters
-    ----------
-    control, state, now, numbers
-        See the module's constants; the first two are modified.
-    maps : Maps
-    layout : Layout
-    limits : Limits
-    w_out : device array of shape (2 * 3 * cells,), float32
-        Both copies of depth [m] and of the velocities of west and south faces [m/s].
+    control, state, now, numbers. See the module's constants; the first two are
+        modified.
+    w_out : float32 device array (2 * 3 * cells,). Both copies of depth [m] and of
+        the velocities of west and south faces [m/s].
     remainder_out, film_out : device arrays of shape (cells,), float32 [m]
-    depth_out : device array of shape (ny - 4, nx - 4), float32 [m]
-        Depth above the bed, film included; written by the last step of a frame.
-    partial_out : device array of shape (PARTIAL, blocks), float64
-        Sums of each block over the frame.
+    depth_out : float32 device array (ny - 4, nx - 4) [m]. Depth above the bed,
+        film included; written by the last step of a frame.
+    partial_out : float64 device array (PARTIAL, blocks). Sums of each block over
+        the frame.
     """
     if state[RUNS] == 0:
         return

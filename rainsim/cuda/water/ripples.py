@@ -53,15 +53,10 @@ def _transform(re, im, cosines, sines, n, sign):
 def transform_pushes(pushes, cosines, sines, n, re_out, im_out):
     """Transform the rows of maps of momentum, two in one, and blank them; a block for each row.
 
-    Parameters
-    ----------
-    pushes : device array of shape (2 * maps * n * n,), int64
-        Momentum in PUSH_UNIT.
-    cosines, sines : device array of shape (n,), float32
-        Of full turns over n.
+    pushes : int64 device array (2 * maps * n * n,). Momentum in PUSH_UNIT.
+    cosines, sines : float32 device array (n,). Of full turns over n.
     n : int
-    re_out, im_out : device array of shape (maps * n * n,), float32
-        Transposed.
+    re_out, im_out : float32 device array (maps * n * n,). Transposed.
     """
     re = cuda.shared.array((2, MOST), np.float32)
     im = cuda.shared.array((2, MOST), np.float32)
@@ -83,16 +78,11 @@ def transform_pushes(pushes, cosines, sines, n, re_out, im_out):
 def transform(re_in, im_in, cosines, sines, n, sign, re_out, im_out):
     """Transform the rows of complex maps; a block for each row.
 
-    Parameters
-    ----------
-    re_in, im_in : device array of shape (maps * n * n,), float32
-    cosines, sines : device array of shape (n,), float32
-        Of full turns over n.
+    re_in, im_in : float32 device array (maps * n * n,)
+    cosines, sines : float32 device array (n,). Of full turns over n.
     n : int
-    sign : float32
-        -1 for forward, 1 for backward; not scaled.
-    re_out, im_out : as `re_in`
-        Transposed.
+    sign : float32. -1 for forward, 1 for backward; not scaled.
+    re_out, im_out : as `re_in`. Transposed.
     """
     re = cuda.shared.array((2, MOST), np.float32)
     im = cuda.shared.array((2, MOST), np.float32)
@@ -111,24 +101,21 @@ def transform(re_in, im_in, cosines, sines, n, sign, re_out, im_out):
 def turn(re, im, steps, n, inverse_size, cosine, sine, push, wave, waves_out, re_out, im_out):
     """Evolve all waves over an interval, add its drops, and give spectra of slopes and heights.
 
-    Parameters
-    ----------
-    re, im : device array of shape (SIZES * maps * n * n,), float32
-        Transforms of the momentum by size of the drops and part of the interval, two in one.
-    steps, n : int
-        Parts of the interval, and cells along a side.
-    inverse_size : float32 [1/m]
-        1 over the size of the tile.
-    cosine, sine : device array of shape (n * (n // 2 + 1),), float32
-        What a wave turns by in a part of the interval, damping included.
-    push : device array of shape (SIZES * n * (n // 2 + 1),), float32
-        What momentum adds, by size of the drops.
-    wave : device array of shape (n,), float32 [rad/m]
-        Wavenumbers along an axis; 0 for the shortest, whose slope is not defined.
-    waves_out : device array of shape (4, n * (n // 2 + 1)), float32
-        Elevation and the quarter period behind it, real and imaginary parts; modified in place.
-    re_out, im_out : device array of shape (2 * n * n,), float32
-        Spectra of slope along x + i slope along y, and of height over the tile's size; over n * n.
+    re, im : float32 device array (SIZES * maps * n * n,). Transforms of the
+        momentum by size of the drops and part of the interval, two in one.
+    steps, n : int. Parts of the interval, and cells along a side.
+    inverse_size : float32 [1/m]. 1 over the size of the tile.
+    cosine, sine : device array of shape (n * (n // 2 + 1),), float32. What a wave
+        turns by in a part of the interval, damping included.
+    push : device array of shape (SIZES * n * (n // 2 + 1),), float32. What
+        momentum adds, by size of the drops.
+    wave : float32 device array (n,) [rad/m]. Wavenumbers along an axis; 0 for the
+        shortest, whose slope is not defined.
+    waves_out : device array of shape (4, n * (n // 2 + 1)), float32. Elevation
+        and the quarter period behind it, real and imaginary parts; modified in
+        place.
+    re_out, im_out : float32 device array (2 * n * n,). Spectra of slope along x +
+        i slope along y, and of height over the tile's size; over n * n.
     """
     wide = n // 2 + 1
     here = cuda.grid(1)
@@ -169,12 +156,10 @@ def turn(re, im, steps, n, inverse_size, cosine, sine, push, wave, waves_out, re
 def lay_moments(re, im, moments_out):
     """Write the moments of the finest resolution; see `reflection.slope_moments.ripple_moments`.
 
-    Parameters
-    ----------
-    re, im : device array of shape (2, n, n), float32
-        Slopes along x and y, then heights over the tile's size and nothing.
-    moments_out : device array of shape (n, n + n // 2, MOMENTS), float32
-        Its first n columns are written.
+    re, im : float32 device array (2, n, n). Slopes along x and y, then heights
+        over the tile's size and nothing.
+    moments_out : float32 device array (n, n + n // 2, MOMENTS). Its first n
+        columns are written.
     """
     i, j = cuda.grid(2)
     n = re.shape[1]
@@ -198,30 +183,18 @@ def halve_moments(level, moments):
 class Ripples:
     """A tile of rings on a CUDA device.
 
-    Parameters
-    ----------
-    tile : RippleTile
-        Its state is copied and it is left alone.
-    duration : float [s]
-        From one frame to the next.
+    tile : RippleTile. Its state is copied and it is left alone.
+    duration : float [s]. From one frame to the next.
     stream : cuda.stream
-    share : float
-        See `let_ring`.
-
-    Attributes
-    ----------
-    tile : settling.RippleTile
-        Its `steps` are the parts of the interval in which impacts are put together.
-    pushes : device array, int64
-        Momentum of drops that fell since, in `settling.PUSH_UNIT`: for each size of drops and each
-        part a map of (cells, cells), one after the other.
-    moments : device array of shape (n, n + n // 2, MOMENTS), float32
-        Of slopes and heights, see `rainsim.reflection.slope_moments`.
-
-    Raises
-    ------
-    ParameterError
-        If the tile's cells are no power of two or too many.
+    share : float. See `let_ring`.
+    tile : settling.RippleTile. Its `steps` are the parts of the interval in which
+        impacts are put together.
+    pushes : device array, int64. Momentum of drops that fell since, in
+        `settling.PUSH_UNIT`: for each size of drops and each part a map of
+        (cells, cells), one after the other.
+    moments : float32 device array (n, n + n // 2, MOMENTS). Of slopes and
+        heights, see `rainsim.reflection.slope_moments`.
+    Raises ParameterError if the tile's cells are no power of two or too many.
     """
 
     def __init__(self, tile, duration, stream=0, share=1.0):

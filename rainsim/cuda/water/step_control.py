@@ -172,22 +172,17 @@ def take_in(
 
     The other cells have had theirs in the last step of the frame before.
 
-    Parameters
-    ----------
-    state, now
-        See the module's constants.
-    waiting : device array of shape (cells,), int64
-        Depth of drops, in UNIT; blanked.
-    storage : device array of shape (cells,), float32 [m]
-    ny, nx : int
-        Cells with their ghosts.
-    wide : int
-        Floats from one row of a map to the next, see `pitch`; a map has ny + 1 rows.
+    state, now. See the module's constants.
+    waiting : int64 device array (cells,). Depth of drops, in UNIT; blanked.
+    storage : float32 device array (cells,) [m]
+    ny, nx : int. Cells with their ghosts.
+    wide : int. Floats from one row of a map to the next, see `pitch`; a map has
+        ny + 1 rows.
     dry : float [m]
-    w_out : device array of shape (2 * 3 * cells,), float32
-        Both copies of depth [m] and face velocities [m/s].
-    remainder_out, film_out : device array of shape (cells,), float32 [m]
-    partial_out : device array of shape (PARTIAL, blocks), float64
+    w_out : float32 device array (2 * 3 * cells,). Both copies of depth [m] and
+        face velocities [m/s].
+    remainder_out, film_out : float32 device array (cells,) [m]
+    partial_out : float64 device array (PARTIAL, blocks)
     """
     if now[ADDED] == 0.0:
         return
@@ -230,15 +225,12 @@ def _fall(here, level, there, bed_there):
 def refresh(control, state, now, numbers, w, bed, ny, nx, wide):
     """Begin a frame: measure the maxima that set the first step and the cap, and plan that step.
 
-    Parameters
-    ----------
-    control, state, now, numbers
-        See the module's constants; the first two are modified.
-    w : device array of shape (2 * 3 * cells,), float32
-        Both copies of depth [m] and face velocities [m/s].
-    bed : device array of shape (cells,), float32 [m]
-    ny, nx, wide : int
-        Cells with their ghosts, and from row to row.
+    control, state, now, numbers. See the module's constants; the first two are
+        modified.
+    w : float32 device array (2 * 3 * cells,). Both copies of depth [m] and face
+        velocities [m/s].
+    bed : float32 device array (cells,) [m]
+    ny, nx, wide : int. Cells with their ghosts, and from row to row.
     """
     tops = cuda.shared.array(4, np.int32)
     lane = cuda.threadIdx.y * SIDE + cuda.threadIdx.x
@@ -301,16 +293,11 @@ def refresh(control, state, now, numbers, w, bed, ny, nx, wide):
 def close(control, state, blocks, whole, partial_out):
     """Bring the account up to date at a frame's end; a block for each of the sums.
 
-    Parameters
-    ----------
-    control, state
-        See the module's constants; `control` is modified.
-    blocks : int
-        Number of sums in each row of `partial_out`.
-    whole : float [m]
-        Depth that a flux of 1 m2/s leaves in a cell in a second: 1 / spacing, summed over time.
-    partial_out : device array of shape (PARTIAL, blocks), float64
-        Blanked.
+    control, state. See the module's constants; `control` is modified.
+    blocks : int. Number of sums in each row of `partial_out`.
+    whole : float [m]. Depth that a flux of 1 m2/s leaves in a cell in a second: 1
+        / spacing, summed over time.
+    partial_out : float64 device array (PARTIAL, blocks). Blanked.
     """
     room = cuda.shared.array(CLOSERS, np.float64)
     lane, which = cuda.threadIdx.x, cuda.blockIdx.x

@@ -42,15 +42,10 @@ HINTS = {
 class Reading:
     """The splats read from a splat file, with its format and notes.
 
-    Attributes
-    ----------
     splats : Splats
-    format : str
-        For people: "3DGS PLY", "SPZ" and so on.
-    notes : tuple of str
-        What was converted or dropped, one line each.
-    broken : int
-        Splats that were dropped because their values are not usable.
+    format : str. For people: "3DGS PLY", "SPZ" and so on.
+    notes : tuple of str. What was converted or dropped, one line each.
+    broken : int. Splats that were dropped because their values are not usable.
     """
 
     splats: Splats
@@ -62,23 +57,14 @@ class Reading:
 def read_splats(path):
     """Read a splat file of any format.
 
-    Parameters
-    ----------
-    path : path-like
-        The file; of an unbundled SOG its meta.json or its folder.
-
-    Returns
-    -------
-    splats : Splats
-        Activated: linear scales, opacity in [0, 1], unit quaternions.
-    notes : list of str
-        What was converted or dropped, one line each; usually empty.
-
-    Raises
-    ------
-    InputError
-        If it is no splat file, is damaged, lies about its size, or holds more than 1 % of splats
-        with unusable values; or if the extra that reads the format is not installed.
+    path : path-like. The file; of an unbundled SOG its meta.json or its folder.
+    Returns splats : Splats. Activated: linear scales, opacity in [0, 1], unit
+        quaternions.
+        notes : list of str. What was converted or dropped, one line each; usually
+            empty.
+    Raises InputError if it is no splat file, is damaged, lies about its size, or
+        holds more than 1 % of splats with unusable values; or if the extra that
+        reads the format is not installed.
     """
     reading = read(path)
     return reading.splats, list(reading.notes)
@@ -106,10 +92,7 @@ def splat_blocks(path):
     A PLY is read part by part, so that its size does not count; files of other formats are read
     whole.
 
-    Parameters
-    ----------
-    path : path-like
-        As `read_splats` takes it.
+    path : path-like. As `read_splats` takes it.
     """
     from rainsim.scene.ply import BLOCK, plain_blocks
     from rainsim.scene.plyheader import read_header
@@ -138,10 +121,7 @@ def trained_antialiased(path):
     `antialias` in older files; a Streamed SOG by that of its first chunk. Other formats are not
     asked.
 
-    Parameters
-    ----------
-    path : path-like
-        As `read_splats` takes it, or a lod-meta.json.
+    path : path-like. As `read_splats` takes it, or a lod-meta.json.
     """
     from rainsim.io.files import read_json
     from rainsim.scene.formats.streamed import LOD_META, read_tree

@@ -18,10 +18,7 @@ INSTALL = 'pip install "rainsim[formats]"'
 def load_extra(path, kind, *modules):
     """Return gsply after importing it and the `modules` that it needs to read `path`.
 
-    Raises
-    ------
-    InputError
-        If one is not installed; names the command that installs it.
+    Raises InputError if one is not installed; names the command that installs it.
     """
     import rainsim.jit  # noqa: F401  (its compiled kernels belong into our cache folder)
 

@@ -60,15 +60,9 @@ def read_folder(path, max_broken):
 def read_rows(path):
     """Return all splats of an unbundled SOG in the order they are stored in, and which are usable.
 
-    Parameters
-    ----------
-    path : Path
-        Its meta.json.
-
-    Returns
-    -------
-    splats : Splats
-    good : ndarray of shape (n,), bool
+    path : Path. Its meta.json.
+    Returns splats : Splats
+        good : bool array (n,)
     """
 
     def load(name):

@@ -25,17 +25,10 @@ DIRECTIONS = 12  # principal ones of the harmonics that splits go along
 def write_sog(folder, splats, antialiased=False):
     """Write splats into a folder, in their order.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it does not exist.
-    splats : Splats
-        At least one, all of them usable.
-    antialiased : bool
-        Whether the file says that they were trained antialiased.
+    folder : Path. Made if it does not exist.
+    splats : Splats. At least one, all of them usable.
+    antialiased : bool. Whether the file says that they were trained antialiased.
 
-    Notes
-    -----
     Two sets of the same splats have the same bytes. Opacities below 1/510 come back as 0.
     """
     folder.mkdir(parents=True, exist_ok=True)

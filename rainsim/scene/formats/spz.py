@@ -166,14 +166,9 @@ def _check_gzip(path, packed, sizes):
     It is EXTENSION_LIMIT bytes at most, and nothing may follow the gzip stream. So a small file
     that unpacks to gigabytes is found before it is read.
 
-    Parameters
-    ----------
-    path : Path
-        For the message.
-    packed : bytes
-        The whole file.
-    sizes : list of int
-        Unpacked bytes of each section, see `_section_sizes`.
+    path : Path. For the message.
+    packed : bytes. The whole file.
+    sizes : list of int. Unpacked bytes of each section, see `_section_sizes`.
     """
     need = PACKED.size + sum(sizes)
     stream, data, done, behind = zlib.decompressobj(31), packed, 0, b""

@@ -33,21 +33,16 @@ REMEDY = "it is damaged, or no Streamed SOG; export it again"
 class ChunkTree:
     """The index of a Streamed SOG, its leaves one after the other.
 
-    Attributes
-    ----------
-    folder : Path
-        That the names of chunks are seen from.
-    names : tuple of str
-        The meta.json of each chunk.
-    environment : str or None
-        That of the splats that are always drawn.
-    box : ndarray of shape (leaves, 6), float32 [capture units]
-        Lowest and highest x, y, z that any splat of the leaf reaches.
-    file, offset, count : ndarray of shape (leaves, levels), int64
-        Chunk of each level of a leaf, NONE where it has none; first splat in it; splats.
-    side : ndarray of shape (leaves, levels), float32 [capture units]
-        How coarse each level is, rising: splats smaller than it are merged. Written by
-        `rainsim import --lod`, else judged from counts, see `_judged_sides`.
+    folder : Path. That the names of chunks are seen from.
+    names : tuple of str. The meta.json of each chunk.
+    environment : str or None. That of the splats that are always drawn.
+    box : float32 array (leaves, 6) [capture units]. Lowest and highest x, y, z
+        that any splat of the leaf reaches.
+    file, offset, count : int64 array (leaves, levels). Chunk of each level of a
+        leaf, NONE where it has none; first splat in it; splats.
+    side : float32 array (leaves, levels) [capture units]. How coarse each level
+        is, rising: splats smaller than it are merged. Written by `rainsim import
+        --lod`, else judged from counts, see `_judged_sides`.
     """
 
     folder: Path
@@ -82,10 +77,8 @@ class ChunkTree:
 def read_tree(path):
     """Return the `ChunkTree` of a lod-meta.json, all of it checked.
 
-    Raises
-    ------
-    InputError
-        If it is no such file, is damaged, or names files outside its folder.
+    Raises InputError if it is no such file, is damaged, or names files outside
+        its folder.
     """
     path = require_file(Path(path), "the index of a Streamed SOG")
     if path.stat().st_size > MOST_BYTES:
