@@ -52,7 +52,8 @@ def _cache_folder():
             though they could be written.
     """
     wanted = [os.environ.get("NUMBA_CACHE_DIR")]
-    wanted.append(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    home = os.path.expanduser("~/.cache")  # stays as it is for an account without a home
+    wanted.append(os.environ.get("XDG_CACHE_HOME") or (None if home.startswith("~") else home))
     refused = []
     for base in map(Path, filter(None, wanted)):
         folder = base if base.name == NAME else base / NAME  # ours: set by a parent process

@@ -38,14 +38,15 @@ LIBRARIES = ("numpy", "scipy", "scikit-image", "numba", "llvmlite")
 
 
 def folder():
-    """Return the Path of the folder for results; None if RAINSIM_CACHE is "off"."""
+    """Return the Path of the folder for results; None if RAINSIM_CACHE is "off", or no home."""
     given = os.environ.get(VARIABLE)
     if given == OFF:
         return None
-    if given:
-        return Path(given).expanduser()
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(base).expanduser() / "rainsim" / "results"
+    try:
+        return Path(given or f"{base}/rainsim/results").expanduser()
+    except RuntimeError:  # an account without a home keeps nothing
+        return None
 
 
 # --- names ----------------------------------------------------------------------------------------

@@ -213,8 +213,9 @@ def scene_folders():
     """Return the folders in which scenes are looked up by name, in order."""
     listed = os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep)
     data = os.environ.get("XDG_DATA_HOME") or "~/.local/share"
-    folders = [*filter(None, listed), Path(data) / "rainsim" / "scenes"]
-    return [Path(folder).expanduser() for folder in folders]
+    folders = [*filter(None, listed), f"{data}/rainsim/scenes"]
+    folders = map(os.path.expanduser, folders)  # an account may have no home
+    return [Path(folder) for folder in folders if not folder.startswith("~")]
 
 
 def _is_name(name_or_path):

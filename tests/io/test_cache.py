@@ -376,3 +376,29 @@ def test_a_kept_terrain_loads_nothing_that_extracts_one(folder, root):
 
     first, second = run(), run()
     assert first[0] == second[0] and second[1:] == ["False", "False"]
+
+
+HOMELESS = """
+import os, pwd
+for name in ("HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME", "NUMBA_CACHE_DIR", "RAINSIM_CACHE"):
+    os.environ.pop(name, None)
+
+def getpwuid(uid):
+    raise KeyError(uid)
+
+pwd.getpwuid = getpwuid
+from rainsim.compiling import folder
+from rainsim.io import cache
+from rainsim.scene import library
+assert cache.folder() is None and library.scene_folders() == []
+assert "~" not in str(folder.CACHE_FOLDER)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="homes are found by pwd")
+def test_an_account_without_a_home_gets_no_folder_named_tilde(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", HOMELESS], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert list(tmp_path.iterdir()) == []
