@@ -263,8 +263,8 @@ def check_options(given):
         both = [dashed(name) for name in names if is_given(name)][:2]
         if len(both) == 2:
             raise ParameterError(
-                f"{' and '.join(both)} are both given; {what} must be given in one way; leave one "
-                "out"
+                f"{' and '.join(both)} are both given; {what} must be given in one way only; leave "
+                "one out"
             )
     for name, (other, what) in NEEDS.items():
         if is_given(name) and not is_given(other):
