@@ -227,7 +227,7 @@ def measure_details(folder, length, ground, places, config, details, say=quiet):
         renderer = Renderer(scene, ground.overview, settings, places[0][0])
         shown, splats, cpu = [], [], []
         for camera, terrain, state in places:
-            renderer.conductor.take_ground(lambda made=terrain: made)
+            renderer.conductor.take_ground(lambda made=terrain: made, state.time)
             renderer.draw(camera, state)  # reads what it needs
             pair = []
             for shift in (0.0, SPEED * NEXT):
@@ -272,7 +272,7 @@ def measure_alone(folder, length, ground, places, config, frames, say=quiet):
         alone = Renderer(whole, ground.overview, config, first)
         cpu = {paged: [], alone: []}
         for renderer in cpu:
-            renderer.conductor.take_ground(lambda made=terrain: made)
+            renderer.conductor.take_ground(lambda made=terrain: made, state.time)
             renderer.draw(ahead(frame, first, -SPEED * NEXT), state)  # reads what it needs
         for k, camera in enumerate(cameras):
             for renderer in cpu:

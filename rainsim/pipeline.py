@@ -157,21 +157,22 @@ class FrameSequence:
         for index in indices:
             leg = None if self._ground is None else self._ground.leg(index)
             if self._water is None or index < self.next or leg != self._leg:
-                self._begin(leg)
+                self._begin(leg, moment(index) / self.config.fps)
             while self._steps <= moment(index):
                 self._state, self._steps = next(self._water), self._steps + 1
                 if tell is not None and self._steps <= moment(indices[0]):
                     tell("simulate", self._steps, moment(indices[0]))
             yield _shown_at(self._state, index)
 
-    def _begin(self, leg):
-        """Begin the water again: that of a leg of the drive, or of the one map if that is None."""
+    def _begin(self, leg, time):
+        """Begin the water again: that of the one map, or of a leg that is drawn from a time on."""
         self._water = self._state = None  # their memory is free for what follows
         if leg is None:
             _, simulate_on_backend = on_backend(self.backend)
             self._water, self._steps = simulate_on_backend(self.terrain, self.config), 0
             return
-        terrain = self._renderer.take_ground(lambda: self._ground.terrain(self.scene, leg))
+        made = self._ground.terrain
+        terrain = self._renderer.take_ground(lambda: made(self.scene, leg), time)
         trim()
         self._leg, self._steps = leg, leg.start(self.config)
         self._water = simulate(terrain, self.config, first=self._steps)
@@ -355,9 +356,9 @@ class SequenceRenderer:
                 report = replace(report, notes=(*notes, *report.notes))
             yield picture, report
 
-    def take_ground(self, make):
+    def take_ground(self, make, time):
         """Draw another map of the ground from now on, see `Conductor.take_ground`."""
-        return self._renderer.conductor.take_ground(make)
+        return self._renderer.conductor.take_ground(make, time)
 
     def make(self):
         """Return the backend's renderer for these frames."""

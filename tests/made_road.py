@@ -46,7 +46,7 @@ def small():
     with pytest.MonkeyPatch.context() as patch:
         small = {
             "BEHIND": 0.5, "AHEAD": 2.5, "ASIDE": 1.0, "STEP": 0.5, "LEG_CELLS": 5000,
-            "GROWN": 2.0, "OVERLAP": 0.3,
+            "PIECE": 15000, "GROWN": 2.0, "OVERLAP": 0.3,
         }  # fmt: skip
         for name, value in small.items():
             patch.setattr(path_ground, name, value)

@@ -281,8 +281,8 @@ class Conductor:
         water = WaterTables(terrain, self._ring_reach)
         return GroundTables(terrain, moving, share, rings, water, film)
 
-    def take_ground(self, make):
-        """Draw another map of this scene's ground from now on; the light stays as it was set up.
+    def take_ground(self, make, time):
+        """Draw another map of the ground from a time [s] on; the light stays as it was set up.
 
         make() returns its `Terrain`, the scene's actors on it, which is returned; it is called when
         nothing of the map before is held.
@@ -296,6 +296,7 @@ class Conductor:
         terrain = tops_drawn(make(), self.config)
         reach = rain_exposure(terrain, usual_wind(self.config), self.config.rain.roughness)
         self.wet_scene.take_ground(WetGround(terrain, reach))
+        self.wet_scene.set_time(self.config.at(time))
         self.ground = self._tables(terrain, reach, film.over(terrain))
         return terrain
 

@@ -17,7 +17,7 @@ from scipy import ndimage
 from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import BackendError, ParameterError, counted
-from rainsim.terrain.extract import MARGIN, arrays_over
+from rainsim.terrain.extract import MARGIN, arrays_over, pieces
 from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.map_size import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.types import NO_TOPS, UNKNOWN, Grid, Terrain
@@ -29,6 +29,7 @@ STEP = 2.0  # m: the rims of legs lie on multiples of it
 LEG_CELLS = 2_000_000  # of a leg that serves several frames
 GROWN = 1.5  # times the cells of its first camera that such a leg may have in any case
 CAMERA_CELLS = 6_000_000  # of a leg for a single camera
+PIECE = 1_000_000  # cells of a leg's map that are made at once, with their margins
 OVERLAP = 1.0  # s before its first frame that a leg's water is simulated
 OVERVIEW_CELLS = 400_000  # of the coarse map
 MAPS = "bed", "top", "underside", "source", "ground_class", "noise"
@@ -85,11 +86,16 @@ class PathGround:
         margin = cells_of(MARGIN, spacing)
         corner = x - margin * spacing, y - margin * spacing
         wide = Grid((ny + 2 * margin, nx + 2 * margin), corner, spacing)
-        found = arrays_over(scene, wide, self.height)
-        if found is None:
-            found = self._unseen(wide)
-        inner = slice(margin, -margin)
-        maps = {name: found[name][inner, inner].copy() for name in MAPS}
+        maps = {}
+        for core, inner, piece in pieces(wide, PIECE):
+            found = arrays_over(scene, piece.grid, self.height)
+            if found is None:
+                found = self._unseen(piece.grid)
+            for name in MAPS:
+                whole = maps.setdefault(name, np.empty(wide.shape, found[name].dtype))
+                whole[core] = found[name][inner]
+        inside = slice(margin, -margin)
+        maps = {name: values[inside, inside].copy() for name, values in maps.items()}
         black = np.broadcast_to(np.float32(0), (ny, nx, 3))  # takes no memory
         return with_footprints(Terrain(leg.grid, **maps, color=black), scene)
 
