@@ -138,11 +138,11 @@ def simulate(terrain, config, dtype=np.float32, first=None):
     by_keyframes = moved_water(terrain, config, exposure, begun)
     solver = water_solver(terrain, start, dtype)
     if first is None:
-        depth, notes = initial_water(terrain, start, exposure)
-        velocity, notes = (), (*notes, solver.choice)
+        (depth, notes), velocity = initial_water(terrain, start, exposure), ()
     else:
         depth, velocity, notes = steady_water(terrain, config, exposure, begun)
     solver.set_state(depth, *velocity)
+    notes = (*notes, solver.choice) if first is None else notes
     ripples = ripple_tile(config, weather, depth, terrain.grid.spacing)
     objects = Objects(surfaces, start, *tops_of(terrain, config, start))
     warm_up(ripples, objects, weather, begun)

@@ -175,7 +175,8 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
         record.begin()
         record.add(GAUGES, STATE)
         finished = run.to(duration, period, rain)
-        names = _write_maps(out, ground, solver, absent)
+        spacing = given["spacing"] or ground.spacing
+        names = _write_maps(out, ground, spacing, solver, absent)
         record.add(*names)
         record.write(complete=finished, time=solver.time, ledger=solver.ledger.as_dict())
     if not finished:
@@ -388,7 +389,7 @@ def _map(value, ground, option):
     return np.where(np.isnan(ground.values), 0.0, found)
 
 
-def _write_maps(out, ground, solver, absent):
+def _write_maps(out, ground, spacing, solver, absent):
     """Write depth and velocity as maps like the bed, and a picture; return their names."""
     import numpy as np
 
@@ -404,7 +405,7 @@ def _write_maps(out, ground, solver, absent):
     names = [f"{name}{ground.kind}" for name in MAPS]
     for name, values in zip(names, maps, strict=True):
         write_raster(out / name, np.where(absent, np.nan, values), ground)
-    write_png(out / PICTURE, water_over(ground.values, solver.spacing, maps[0]))
+    write_png(out / PICTURE, water_over(ground.values, spacing, maps[0]))
     return [*names, PICTURE]
 
 

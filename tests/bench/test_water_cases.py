@@ -124,7 +124,7 @@ def test_drains_and_infiltration_are_booked():
         ({"kinematic_viscosity": 1e-6, "scheme": "paper"}, '"paper" does not have'),
         ({"kinematic_viscosity": math.nan}, "kinematic_viscosity is nan"),
         ({"infiltration": -1.0}, "infiltration is -1.0"),
-        ({"scheme": "paper", "courant": 0.6}, "courant is 0.6.*at most 0.5"),
+        ({"scheme": "paper", "courant": 0.6}, "courant is 0.6.*to 0.5"),
     ],
 )
 def test_bad_input_is_named(given, words):

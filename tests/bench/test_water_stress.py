@@ -42,7 +42,7 @@ def test_long_steps_are_bounded_or_refused(scheme):
         require_hold(stress.endure(trial, scheme, 0.3, courant=courant), 0.05)
     for courant in (0.9, 1.1):
         assert stress.endure(trial, scheme, courant=courant)["outcome"] == "refused"
-        with pytest.raises(ParameterError, match=f"courant is {courant}.*at most 0.7"):
+        with pytest.raises(ParameterError, match=f"courant is {courant}.*to 0.7"):
             WaterSolver(trial.bed, trial.spacing, scheme=scheme, courant=courant)
 
 

@@ -65,9 +65,9 @@ def test_exr_files_are_named_numbered_and_kept(film, tmp_path):
 
 
 @pytest.mark.parametrize(("more", "fault"), [
-    (["--colorspace", "acescg"], "--colorspace acescg is given without --exr"),
+    (["--colorspace", "acescg"], "--colorspace is given without --exr"),
     (["--frame-start", 5], "--frame-start 5 is given without --exr"),
-    (["--exr-name", "a.%d.exr"], "--exr-name a.%d.exr is given without --exr"),
+    (["--exr-name", "a.%d.exr"], "--exr-name is given without --exr"),
     (["--exr", "--exr-name", "a.exr"], "must hold the frame's number once"),
     (["--exr", "--exr-name", "../a.%d.exr"], "without a folder"),
     (["--exr", "--colorspace", "srgb"], "'srgb' is not one of"),

@@ -141,7 +141,12 @@ def test_a_sun_by_the_clock_counts_where_shadows_show_that_it_shone(sunny, dull)
 def test_the_captured_sun_is_one_setting_and_the_new_days_another(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setenv("RAINSIM_CACHE", "off")
-    monkeypatch.setattr(kept_light, "find_relight", lambda *given: asked.append(given[2::2]))
+
+    def find_relight(*given):
+        asked.append(given[2::2])
+        return kept_light.NO_RELIGHT
+
+    monkeypatch.setattr(kept_light, "find_relight", find_relight)
     scene = replace(scenes.tiny_scene(), source=tmp_path)
     config = Config().replace(cloudiness=1.0, sun=(1.0, 0.5))
     clock = replace(scene, captured_sun=(0.0, 0.6, 0.8))
