@@ -18,6 +18,7 @@ LOWEST = -0.01  # sine of the elevation from which on a pixel may show the sky
 DULL, BLUE = 0.6, 0.8  # blue over the largest channel: no sky, likely sky
 DARK = 0.1  # linear luminance below which nothing is the sky of a day
 EVEN = 0.15  # range of the logarithm of luminance about a pixel of the sky
+BELOW, WALL = -0.05, 0.1  # sine of an elevation, share of a wall's pixels that are lower
 ABOUT = 5  # px, side of the square in which that is measured
 BRIGHTER = 0.7  # quantile of the cameras: things before the sky are darker
 STEP = 0.25  # logarithm of a channel between texels of the sky, at most
@@ -184,12 +185,19 @@ def seen_sky(views, shown):
 
 
 def _likely(view, direction):
-    """Return which pixels are even, bright and blue or grey, and above the horizon."""
+    """Return which pixels are even, bright and blue or grey, and above the horizon.
+
+    Not those of a region that goes on far below it: a white wall.
+    """
     light = view.light @ LUMINANCE_WEIGHTS.astype(np.float32)
     blue = view.light[..., 2] / np.maximum(view.light.max(axis=-1), 1e-3)
     log = np.log(np.maximum(light, 0.01))
     even = ndimage.maximum_filter(log, ABOUT) - ndimage.minimum_filter(log, ABOUT) < EVEN
-    return even & (light > DARK) & (blue > BLUE) & (direction[..., 2] > 0)
+    likely, high = even & (light > DARK) & (blue > BLUE), direction[..., 2]
+    label, count = ndimage.label(likely)
+    low = np.bincount(label.ravel(), high.ravel() < BELOW, minlength=count + 1)
+    wall = low > WALL * np.bincount(label.ravel(), minlength=count + 1)
+    return likely & ~wall[label] & (high > 0)
 
 
 def _texels(direction):

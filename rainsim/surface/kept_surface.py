@@ -111,13 +111,14 @@ def find_surface(scene):
     surface = fused(views, middle, half)
     near = _nearest(surface.position, position, good)
     sky = np.zeros(len(position), bool)
-    aloft = np.full(len(position), not scene.cameras)
+    casters, aloft = good, np.full(len(position), not scene.cameras)
     if colors.color is not None:
         pictures = list(zip(views, cameras, parts, strict=True))
         alone = _alone(near, surface)
         sky, aloft = _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
         sky &= good
-    solid = _solid(position, near, splats, good & ~sky, views, frame, surface)
+        casters = good & ~(sky & alone)  # what looks like sky on a thing throws the thing's shade
+    solid = _solid(position, near, splats, casters, views, frame, surface)
     picture = ground_picture(views)
     shade = None if picture is None else ground_shade(picture)
     return Found(

@@ -163,6 +163,18 @@ def test_a_grey_front_below_a_brighter_sky_is_no_sky():
     assert (parts[0][12:] < 1).all()
 
 
+def test_a_white_wall_that_goes_on_below_the_horizon_is_no_sky():
+    light = np.full((60, 80, 3), 0.3, np.float32)  # a grey sky
+    light[30:] = 0.05
+    light[:30, 15:65] = 0.8
+    cloud = [view_of(light, 0.1)] * 4
+    assert (captured_sky.SkyColors(cloud).parts(cloud)[0][5:25, 25:55] == 1).all()
+    light[30:52, 15:65] = 0.8
+    wall = [view_of(light, 0.1)] * 4
+    part = captured_sky.SkyColors(wall).parts(wall)[0]
+    assert (part[5:50, 25:55] < 1).all()
+
+
 def test_haze_before_a_wall_is_moved_to_the_wall():
     rng = np.random.default_rng(0)
     count = 6000
