@@ -158,11 +158,11 @@ class Piece:
     cells: tuple
 
 
-def pieces(grid, most=PIECE):
+def pieces(grid, most=None):
     """Yield the parts in which a map is made, so that memory grows only with what is kept.
 
     Each overlaps its neighbours by a margin, wider than what cells know of each other. A part whose
-    margins are wider than itself would cost more than it saves: else one has `most` cells. With a
+    margins are wider than itself would cost more than it saves: else one has `most` cells, PIECE by default. With a
     `Piece` come the cells that it is for: slices in the whole map and in the part.
     """
     margin = round(MARGIN / grid.spacing)
@@ -172,7 +172,7 @@ def pieces(grid, most=PIECE):
         return [-(-n // k) + margin * min(k - 1, 2)
                 for n, k in zip(grid.shape, number, strict=True)]  # fmt: skip
 
-    while np.prod(sides()) > most:
+    while np.prod(sides()) > (most or PIECE):
         longest = int(np.argmax(sides()))
         if grid.shape[longest] < 2 * margin * (number[longest] + 1):
             break
