@@ -162,7 +162,7 @@ def pieces(grid, most=None):
     """Yield the parts in which a map is made, so that memory grows only with what is kept.
 
     Each overlaps its neighbours by a margin, wider than what cells know of each other. A part whose
-    margins are wider than itself would cost more than it saves: else one has `most` cells, PIECE by default. With a
+    margins are wider than itself would cost more than it saves: else one has `most` cells. With a
     `Piece` come the cells that it is for: slices in the whole map and in the part.
     """
     margin = round(MARGIN / grid.spacing)
