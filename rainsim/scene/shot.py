@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rainsim.errors import InputError
 from rainsim.io.files import MAX_LENGTH, read_json
 from rainsim.scene.camera_entry import Entry
 from rainsim.scene.cameras import cameras_from_data
@@ -23,6 +24,7 @@ from rainsim.scene.usd_cameras import read_usd
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 GLTF_SUFFIXES = (".gltf", ".glb")
 SHOT = "shot"  # key of a transforms.json
+MOST_FRAME = 10**8  # number of a frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,11 @@ def read_shot(path, name=None, fps=24.0, as_stands=False):
         require_chosen([str(data[SHOT].get("camera", "Camera"))], name, path)
     else:
         return None
+    if not abs(world.first) <= MOST_FRAME:  # true for NaN
+        raise InputError(
+            f"{path} begins at frame {world.first:g}; it must be from {-MOST_FRAME:g} to "
+            f"{MOST_FRAME:g}; number its frames anew"
+        )
     notes = []
     if all(_alike(camera, found[0]) for camera in found):
         if len(found) > 1:

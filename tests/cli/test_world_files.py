@@ -5,8 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from rainsim.errors import InputError
 from rainsim.scene.cameras import read_cameras
 from rainsim.scene.library import load_scene
+from rainsim.scene.shot import read_shot
 
 FILM = ["--spacing", "0.04", "--extent", "1", "--relight", "off", "--width", "48"]
 
@@ -21,6 +23,13 @@ def shot_json(folder, **world):
     shot = {"camera": "Cam", "up_axis": "Z", "meters_per_unit": 1, "fps": 30, "first_frame": 1001}
     data = {"shot": {**shot, **world}, "w": 96, "h": 72, "frames": frames}
     (folder / "camera.json").write_text(json.dumps(data))
+
+
+@pytest.mark.parametrize("first", [1e15, -1e300])
+def test_frames_of_absurd_numbers_are_refused(tmp_path, first):
+    shot_json(tmp_path, first_frame=first)
+    with pytest.raises(InputError, match="begins at frame .*|first_frame is"):
+        read_shot(tmp_path / "camera.json")
 
 
 @pytest.mark.parametrize("option", ["--path", "--cameras"])
