@@ -28,7 +28,7 @@ def shot_json(folder, **world):
 @pytest.mark.parametrize("first", [1e15, -1e300])
 def test_frames_of_absurd_numbers_are_refused(tmp_path, first):
     shot_json(tmp_path, first_frame=first)
-    with pytest.raises(InputError, match="begins at frame .*|first_frame is"):
+    with pytest.raises(InputError, match=r"begins at frame |first_frame is"):
         read_shot(tmp_path / "camera.json")
 
 
