@@ -76,7 +76,7 @@ def read_shot(path, name=None, fps=24.0, as_stands=False):
     if not abs(world.first) <= MOST_FRAME:  # true for NaN
         raise InputError(
             f"{path} begins at frame {world.first:g}; it must be from {-MOST_FRAME:g} to "
-            f"{MOST_FRAME:g}; number its frames anew"
+            f"{MOST_FRAME:g}; number its frames again"
         )
     notes = []
     if all(_alike(camera, found[0]) for camera in found):
