@@ -21,7 +21,7 @@ GAUGES, STATE = "gauges.csv", "state.npz"
 MAPS, PICTURE = ("depth", "u", "v"), "depth.png"
 MOST_READINGS = 1_000_000
 MOST_DIGITS = 10  # of a row or a column
-HEIGHT_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": 1200 / 3937}
+HEIGHT_UNITS = {"m": 9001, "ft": 9002, "us-ft": 9003}  # their codes in GeoTIFF
 
 
 class NumberOrFile(click.ParamType):
@@ -84,7 +84,7 @@ def _given(name, kind, text, **more):
 @_given("duration", float, "Simulated time [s] from the start, not from where --resume goes on.",
         required=True, metavar="S")  # fmt: skip
 @_given("spacing", float, "Side of a cell [m]; the file's where it has one.", metavar="M")
-@_given("height-unit", click.Choice(["m", "ft", "us-ft"]), "Unit of the bed's heights, whatever "
+@_given("height-unit", click.Choice(list(HEIGHT_UNITS)), "Unit of the bed's heights, whatever "
         "the file says. [default: the file's, or m]")  # fmt: skip
 @_given("nodata", click.Choice(["closed", "open"]), "Whether cells without a height are walls, or "
         "water leaves over their edge.", default="closed", show_default=True)  # fmt: skip
@@ -222,7 +222,9 @@ def _in_metres(ground, unit):
     """Return the bed with heights that the user says are in another unit than the file."""
     if unit is None:
         return ground
-    values = ground.values / ground.per_height * HEIGHT_UNITS[unit]
+    from rainsim.io.rasters import UNITS
+
+    values = ground.values / ground.per_height * UNITS[HEIGHT_UNITS[unit]]
     return ground._replace(values=values, notes=(*ground.notes, f"heights are in {unit}, as given"))
 
 

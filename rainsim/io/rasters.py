@@ -24,7 +24,7 @@ SCALE, TIE, KEYS, NUMBERS, TEXTS, NO_DATA = 33550, 33922, 34735, 34736, 34737, 4
 MODEL, GEOGRAPHIC = 1024, 2  # the key of the kind of coordinates, and the value for degrees
 ACROSS, UPWARDS = 3076, 4099  # the keys of the linear unit of a projection and of heights
 UNITS = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}  # m: metre, foot, US survey foot
-UNIT_NAMES = {1.0: "metres", 0.3048: "feet", 1200 / 3937: "US survey feet"}
+UNIT_NAMES = {9001: "metres", 9002: "feet", 9003: "US survey feet"}
 
 
 class Raster(NamedTuple):
@@ -216,7 +216,8 @@ def _units(path, keys):
         return unit, high, ()
     said = "" if UPWARDS in keys else ", heights too for all that the file says; see --height-unit"
     return unit, high, (
-        f"{path.name} is in {UNIT_NAMES[unit]} (heights in {UNIT_NAMES[high]}){said}; made metres",
+        f"{path.name} is in {UNIT_NAMES[code]} (heights in {UNIT_NAMES[upwards]}){said}; made "
+        "metres",
     )  # fmt: skip
 
 

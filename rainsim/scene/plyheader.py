@@ -110,6 +110,15 @@ def read_header(path, file):
     return Header(tuple(elements), comments)
 
 
+def header_of(path):
+    """Return the Header of a file, None if it is no PLY."""
+    with open(path, "rb") as file:
+        if not file.read(4).startswith((b"ply\n", b"ply\r")):
+            return None
+        file.seek(0)
+        return read_header(path, file)
+
+
 def _kind(start):
     if start.startswith(b"PK\x03\x04"):
         return " (it looks like a zip archive, perhaps SOG)"

@@ -10,10 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.errors import InputError, ParameterError
+from rainsim.errors import InputError, ParameterError, require_choice
 from rainsim.io.files import json_number, number_array, read_json
 from rainsim.scene.formats.spz import UNSAID, half_turned
-from rainsim.scene.plyheader import read_header
+from rainsim.scene.plyheader import header_of
+from rainsim.scene.view import camera_points, image_point
 
 SAMPLE = 20_000  # splats that are looked for in each camera's picture
 MOST_CAMERAS = 200
@@ -36,11 +37,10 @@ def seen_shares(splats, cameras):
     places = splats.position[::step].astype(np.float64)
     shares = np.empty(len(cameras))
     for k, camera in enumerate(cameras):
-        seen = places @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+        seen = camera_points(camera, places)
         ahead = seen[:, 2] > 0
         x, y, z = seen[ahead].T
-        z = np.ones_like(z) if camera.orthographic else z
-        x, y = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        x, y = image_point(camera, x, y, 1.0 if camera.orthographic else z)
         within = (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
         wide = np.ptp(np.percentile(x[within], (5, 95))) if within.any() else 0.0
         shares[k] = within.mean() * ahead.mean() if wide > SPECK * camera.width else 0.0
@@ -52,7 +52,7 @@ def require_sight(path, splats, cameras):
 
     Raises InputError if all of them do.
     """
-    chosen = list(cameras)[:: max(1, len(cameras) // MOST_CAMERAS)]
+    chosen = _some_of(cameras)
     if not chosen:
         return []
     shares = seen_shares(splats, chosen)
@@ -73,6 +73,10 @@ def require_sight(path, splats, cameras):
     return []
 
 
+def _some_of(cameras):
+    return list(cameras)[:: max(1, len(cameras) // MOST_CAMERAS)]
+
+
 def _text(place):
     return "(" + ", ".join(f"{v:.4g}" for v in place) + ")"
 
@@ -91,10 +95,11 @@ def settled(splats, notes, cameras, asked=None):
                 "leave it out"
             )
         return splats, notes
-    turned, how = asked == "rdf", "as given"
+    if asked is not None:
+        require_choice("--spz-frame", asked, SPZ_FRAMES)
+    turned, how, chosen = asked == "rdf", "as given", _some_of(cameras)
+    other = half_turned(splats) if turned or (asked is None and chosen) else splats
     if asked is None:
-        chosen = list(cameras)[:: max(1, len(cameras) // MOST_CAMERAS)]
-        other = half_turned(splats) if chosen else splats
         seen, seen_turned = (
             float(np.median(seen_shares(s, chosen))) if chosen else 0.0 for s in (splats, other)
         )
@@ -109,8 +114,7 @@ def settled(splats, notes, cameras, asked=None):
         )
     frame = "right, down, forward (rdf)" if turned else "right, up, back (rub)"
     note = f"SPZ does not say its axes: taken for {frame}, {how}"
-    splats = half_turned(splats) if turned else splats
-    return splats, [note if text == UNSAID else text for text in notes]
+    return other if turned else splats, [note if text == UNSAID else text for text in notes]
 
 
 def in_nerfstudio_frame(splat_file, camera_file, cameras):
@@ -165,10 +169,5 @@ def _moved(camera, turn, shift, scale):
 
 
 def _is_nerfstudio(splat_file):
-    if splat_file.suffix.lower() != ".ply":
-        return False
-    with open(splat_file, "rb") as file:
-        if not file.read(4).startswith((b"ply\n", b"ply\r")):
-            return False
-        file.seek(0)
-        return NERFSTUDIO_AXIS in (c.lower() for c in read_header(splat_file, file).comments)
+    header = header_of(splat_file) if splat_file.suffix.lower() == ".ply" else None
+    return header is not None and NERFSTUDIO_AXIS in (c.lower() for c in header.comments)

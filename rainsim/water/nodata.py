@@ -8,7 +8,6 @@ from scipy.ndimage import binary_dilation, grey_erosion
 from rainsim.errors import ParameterError
 from rainsim.water.inputs import EDGES
 
-WAYS = ("closed", "open")
 ABOVE = 100.0  # m, and the relief of the map, that a wall stands above its highest cell
 RATE = 1e9  # m3/s that a cell of an open rim takes: all that reaches it
 

@@ -64,6 +64,8 @@ def test_an_spz_without_axes_is_taken_as_its_cameras_see_it():
     found, [note] = settled(splats, [UNSAID], cameras, "rdf")
     np.testing.assert_array_equal(found.position, half_turned(splats).position)
     assert "as given" in note
+    with pytest.raises(ParameterError, match="--spz-frame is 'up'; it must be one of rub, rdf"):
+        settled(splats, [UNSAID], cameras, "up")
     with pytest.raises(ParameterError, match="no SPZ file or says its frame"):
         settled(splats, [], cameras, "rub")
 

@@ -95,16 +95,13 @@ def splat_blocks(path):
     path : path-like. As `read_splats` takes it.
     """
     from rainsim.scene.ply import BLOCK, plain_blocks
-    from rainsim.scene.plyheader import read_header
+    from rainsim.scene.plyheader import header_of
 
     path = Path(path)
     if path.is_file():
-        with open(path, "rb") as file:
-            if file.read(4).startswith((b"ply\n", b"ply\r")):
-                file.seek(0)
-                header = read_header(path, file)
-                if not header.compressed:
-                    return lambda: plain_blocks(path, header), "3DGS PLY"
+        header = header_of(path)
+        if header is not None and not header.compressed:
+            return lambda: plain_blocks(path, header), "3DGS PLY"
     whole = read(path)
 
     def parts():
@@ -125,7 +122,7 @@ def trained_antialiased(path):
     """
     from rainsim.io.files import read_json
     from rainsim.scene.formats.streamed import LOD_META, read_tree
-    from rainsim.scene.plyheader import read_header
+    from rainsim.scene.plyheader import header_of
 
     path = Path(path)
     if path.name == LOD_META:
@@ -135,11 +132,8 @@ def trained_antialiased(path):
         meta = read_json(path, "the meta.json of a SOG")
         known = isinstance(meta, dict)
         return known and (meta.get("model") == "antialiased" or meta.get("antialias") is True)
-    with open(path, "rb") as file:
-        if not file.read(4).startswith((b"ply\n", b"ply\r")):
-            return False
-        file.seek(0)
-        return read_header(path, file).antialiased
+    header = header_of(path)
+    return header is not None and header.antialiased
 
 
 def sha256_of(path):
