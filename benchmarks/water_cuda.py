@@ -41,14 +41,13 @@ def run(quick=False, say=quiet):
 
 def measure(cells, manning, quick):
     """Return steps, cells a second (median and most) and those of a copy of the same bytes."""
-    from rainsim.cuda.solver import GpuWaterSolver
+    from rainsim.cuda.grid import GpuWaterSolver
 
     gpu = GpuWaterSolver(wavy_lake(cells, "lean", manning=manning))
     span = span_of(cells, max(STEPS[quick] * SIZES[quick][0] // cells, min(64, STEPS[quick])))
-    for _ in range(2):  # compile, then record
-        gpu.advance(span)
+    gpu.advance(span)  # compiles
     size = CELL_BYTES + ROUGH_BYTES * (manning > 0)  # bytes a cell
-    limit = _copies(cells**2 * size, gpu, quick)
+    limit = _copies(cells**2 * size, quick)
     rates, steps = [], 0
     for _ in range(ROUNDS[quick]):
         start = time.perf_counter()
@@ -62,18 +61,17 @@ def measure(cells, manning, quick):
     }  # fmt: skip
 
 
-def _copies(count, gpu, quick):
+def _copies(count, quick):
     """Return the seconds that the device takes to read and write `count` bytes in all; median."""
-    from rainsim.cuda.driver import to_device
     from rainsim.cuda.jit import cuda
 
-    stream, found = gpu.water.stream, []
-    a, b = (to_device(np.zeros(count // 8, np.float32), stream) for _ in range(2))
+    found = []
+    a, b = (cuda.to_device(np.zeros(count // 8, np.float32)) for _ in range(2))
     for _ in range(ROUNDS[quick] + 1):
         cuda.synchronize()
         start = time.perf_counter()
         for _ in range(COPIES[quick]):
-            b.copy_to_device(a, stream=stream)
+            b.copy_to_device(a)
         cuda.synchronize()
         found.append((time.perf_counter() - start) / COPIES[quick])
     return float(np.median(found[1:]))

@@ -1,6 +1,6 @@
 """The maps of the architecture page: `python docs/drawings.py` writes them to docs/_static.
 
-Rooms, passes, inputs and streams are drawn from the code; `tests/site` fails when a map is older.
+Rooms, passes and inputs are drawn from the code; `tests/site` fails when a map is older.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 from html import escape
 from pathlib import Path
 
-from rainsim.render.frame import DRY, INPUTS, PASSES, SPLAT, SURFACE, WET, reads_of
+from rainsim.render.frame import INPUTS, PASSES
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs/_static"
@@ -29,11 +29,6 @@ text { font-family: sans-serif; font-size: 13px; fill: #243240 }
 </style>
 <defs><marker id="e" viewBox="0 0 10 10" refX="8" refY="5" markerWidth="6" markerHeight="6"
  orient="auto"><path d="M0 0L10 5L0 10z" fill="#51606f"/></marker></defs>"""
-COLORS = {SPLAT: "a", DRY: "c", SURFACE: "b", WET: "d"}
-PARTS = {
-    SPLAT: "splat: camera and capture alone", DRY: "dry: needs no water",
-    SURFACE: "surface: of the water", WET: "wet: all else",
-}  # fmt: skip
 
 
 def drawing(title, height, parts):
@@ -77,14 +72,6 @@ def dots(places, hollow=False):
 def squares(places):
     """Return square marks at places (x, y)."""
     return [path("w", [f"M{x - 5.5:g} {y}h11" for x, y in places])]
-
-
-def legend(y):
-    """Return the colours of the parts of a frame in a line."""
-    found = []
-    for x, (part, words) in zip((14, 250, 430, 590), PARTS.items(), strict=True):
-        found += [box(x, y - 11, 14, 14, COLORS[part]), text(x + 20, y, words)]
-    return found
 
 
 # ---- rooms
@@ -140,7 +127,7 @@ def passes():
     x0, y0, wide, step = 180, 176, 25, 22
     parts = [text(14, 24, "Passes of a frame and their buffers", "t"),
              *squares([(336, 20)]), text(348, 24, "writes"), *dots([(410, 20)]),
-             text(420, 24, "reads"), *legend(46)]  # fmt: skip
+             text(420, 24, "reads")]  # fmt: skip
     grid, written, read = [], [], []
     for k, name in enumerate(names):
         x = x0 + k * wide
@@ -148,7 +135,7 @@ def passes():
         grid.append(f"M{x} {y0 - 8}v{step * len(PASSES)}")
     for j, each in enumerate(PASSES):
         y = y0 + j * step
-        parts.append(box(10, y - 9, 154, 19, COLORS[each.part]))
+        parts.append(box(10, y - 9, 154, 19, "a"))
         parts.append(text(16, y + 5, each.name))
         grid.append(f"M166 {y}h{WIDTH - 176}")
         written += [(x0 + names.index(name) * wide, y) for name in each.writes]
@@ -163,11 +150,11 @@ def inputs():
     x0, y0, wide, step = 150, 172, 30, 20
     parts = [text(14, 24, "What makes a pass run again", "t"),
              *dots([(290, 20)]), text(300, 24, "reads the input"), *dots([(428, 20)], True),
-             text(438, 24, "reads what was made of it"), *legend(46)]  # fmt: skip
+             text(438, 24, "reads what was made of it")]  # fmt: skip
     grid, direct, indirect = [], [], []
     for k, each in enumerate(PASSES):
         x = x0 + k * wide
-        parts.append(box(x - 9, 60, 19, 102, COLORS[each.part]))
+        parts.append(box(x - 9, 60, 19, 102, "a"))
         parts.append(upright(x + 5, 158, each.name.replace("light on wet", "light on")))
         grid.append(f"M{x} {y0 - 10}v{step * len(INPUTS)}")
     for j, name in enumerate(INPUTS):
@@ -183,53 +170,6 @@ def inputs():
     parts += [path("g", grid), *dots(direct), *dots(indirect, True)]
     return drawing("Inputs of a frame: which passes run again when one changes",
                    y0 + step * len(INPUTS) + 10, parts)  # fmt: skip
-
-
-# ---- streams
-
-
-def launches():
-    """Return the stream of each pass that the GPU launches, by name, from the source."""
-    source = (ROOT / "rainsim/cuda/render/passes.py").read_text(encoding="utf-8")
-    found = {}
-    for node in ast.walk(ast.parse(source)):
-        pairs = []
-        if isinstance(node, ast.Dict):
-            pairs = list(zip(node.keys, node.values, strict=True))
-        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Subscript):
-            pairs = [(node.targets[0].slice, node.value)]
-        for key, value in pairs:
-            if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "Launch":
-                found[key.value] = ast.unparse(value.args[1]) if len(value.args) > 1 else "main"
-    return found
-
-
-def streams():
-    """Draw the passes of a GPU on their streams, and which wait for which."""
-    lane_of, names = launches(), {"light.stream": "wet ground"}
-    lanes = ["light.stream", "main", "aside", "beside"]
-    on_device = [each for each in PASSES if each.name in lane_of]
-    reads, wide, step, y0 = reads_of(PASSES, lane_of), 180, 34, 96
-    parts = [text(14, 24, "Streams of the GPU: a pass waits for what it reads of others", "t"),
-             *legend(48)]  # fmt: skip
-    place = {}
-    for k, lane in enumerate(lanes):
-        parts.append(text(24 + k * wide, y0 - 14, f"stream: {names.get(lane, lane)}", "s"))
-        end = y0 + step * len(on_device)
-        parts.append(path("g", [f"M{96 + k * wide} {y0 - 6}V{end}"]))
-    arrows, boxes = [], []
-    for j, each in enumerate(on_device):
-        k = lanes.index(lane_of[each.name])
-        place[each.name] = x, y = 24 + k * wide, y0 + j * step
-        boxes += [box(x, y, 144, 22, COLORS[each.part]), text(x + 7, y + 15, each.name)]
-        for before in on_device[:j]:
-            other = lane_of[before.name] != lane_of[each.name]
-            if other and before.part == each.part and reads[each.name] & set(before.writes):
-                a, b = place[before.name]
-                a, end = (a + 144, x) if a < x else (a, x + 144)
-                arrows.append(path("l e", [f"M{a} {b + 14}L{end} {y + 9}"]))
-    return drawing("Streams of the GPU: which pass waits for which",
-                   y0 + step * len(on_device) + 6, [*parts, *arrows, *boxes])  # fmt: skip
 
 
 # ---- by hand: what no table of the code holds
@@ -295,7 +235,7 @@ def kernels():
     ))  # fmt: skip
 
 
-DRAWINGS = {"rooms": rooms, "passes": passes, "inputs": inputs, "streams": streams,
+DRAWINGS = {"rooms": rooms, "passes": passes, "inputs": inputs,
             "drops": drops, "kernels": kernels}  # fmt: skip
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ _MODULES = {
         "read_state": "rainsim.io.states",
         "write_state": "rainsim.io.states",
         "WaterSolver": "rainsim.grid",
-        "GpuWaterSolver": "rainsim.cuda.solver",
+        "GpuWaterSolver": "rainsim.cuda.grid",
         "WaterReport": "rainsim.water.water_report",
         "Stage": "rainsim.water.conditions",
         "Discharge": "rainsim.water.conditions",

@@ -3,7 +3,7 @@
 from rainsim.config.settings import Config as Config
 from rainsim.config.settings import mm_per_hour as mm_per_hour
 from rainsim.config.settings import preset_names as preset_names
-from rainsim.cuda.solver import GpuWaterSolver as GpuWaterSolver
+from rainsim.cuda.grid import GpuWaterSolver as GpuWaterSolver
 from rainsim.errors import BackendError as BackendError
 from rainsim.errors import DivergedError as DivergedError
 from rainsim.errors import GroundError as GroundError

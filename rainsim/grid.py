@@ -285,10 +285,7 @@ class WaterSolver:
             If the state is no longer finite or flows faster than water can.
         """
         end = self.time + require_not_negative("duration", duration, "s")
-        if self._has_deposits:
-            self._apply_sources(0.0)
-            self.flow.refresh()
-            self._has_deposits, self.settled = False, False
+        self._take_in()
         begin, end = span_of_call(self._planned, self.time, end)
         if end > self.time and (begin, end) != self._planned:
             self._planned = begin, end
@@ -309,6 +306,13 @@ class WaterSolver:
                 break
         self._book_standing_water()
         return self._report(substeps)
+
+    def _take_in(self):
+        """Give deposited drops to film and water."""
+        if self._has_deposits:
+            self._apply_sources(0.0)
+            self.flow.refresh()
+            self._has_deposits, self.settled = False, False
 
     def _advance_to(self, end, progress):
         """Step to the time `end` [s]; return the steps taken and whether it was reached."""
@@ -385,10 +389,12 @@ class WaterSolver:
     @one_caller
     def load(self, path):
         """Take the state that `save` wrote; this solver must be made as that one was."""
-        found = read_solver(path, self._made_of(), self._saved())
+        self._restore(read_solver(path, self._made_of(), self._saved()))
+
+    def _restore(self, found):
+        """Take over the arrays that `_saved` returned."""
         self.flow.restore(found)
-        self.sources.film[:] = found["film"]
-        self.sources.set_rain(found["rain"])
+        self.sources.restore(found)
         self.time, self.sources.unbooked_time, advances, *whether, self.courant, begin, end = (
             found["times"].tolist()
         )  # fmt: skip
@@ -401,7 +407,7 @@ class WaterSolver:
             self.conditions, np.split(found["rises"], ends)[:-1], strict=True
         ):
             condition.rises = rises
-        self.scheme, self.reason = json.loads(found["choice"])
+        self.scheme, self.reason = json.loads(str(found["choice"]))
         self._ledger = Ledger(*found["account"].tolist())
         self._book_standing_water()
 

@@ -92,9 +92,12 @@ class Rasterizer:
         """Take over the same splats with other actors before them, see `merged.Merger`."""
         self.prepared = merged
 
-    def pose_actors(self, actors):
-        """Put the actors of an `ActorSplats` before the static set, where they are now."""
-        self.put_actors(actors.merged())
+    def pose_actors(self, actors, level=None):
+        """Put the actors of an `ActorSplats` before the static set, where they are now.
+
+        `level` is terrain and ground frame where that is the set of the level picture.
+        """
+        self.put_actors(actors.merged() if level is None else actors.standing(*level))
 
     def draw(
         self, camera, near, plane=None, depth="expected", compensate=False, degree=None,

@@ -166,9 +166,9 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
         if solver.flow.roughness is None:
             status.notes(["no friction: neither --manning nor --viscosity is given"])
         if given["backend"] == "cuda":
-            from rainsim.cuda.solver import GpuWaterSolver
+            from rainsim.cuda.grid import GpuWaterSolver
 
-            solver = GpuWaterSolver(solver, solver.sources.exposure)
+            solver = GpuWaterSolver(solver)
         run = Run(solver, given, out, status)
         if resume and (out / STATE).is_file():
             run.load(duration, period)
@@ -287,7 +287,6 @@ class Run:
                 return not pressed.is_set()
 
             self.gauges.run(duration, period, rain, goes_on, begin=0.0)
-        self.steps = getattr(self._solver, "steps", self.steps)  # a GPU does not report each
         self.save()
         return self._solver.time >= duration * (1 - 1e-9)
 

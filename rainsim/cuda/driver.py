@@ -1,6 +1,7 @@
-"""The calls of the CUDA driver that each frame makes many times, without numba's wrappers.
+"""Copies between host and device, and faults of the device.
 
-A frame records and awaits some thirty events. Numba's own calls take the host five times as long.
+All work is queued on the default stream, in the order of the calls; only a finished picture is
+copied to the host beside it, see `Download`.
 """
 
 from __future__ import annotations
@@ -18,8 +19,6 @@ if SIMULATED:
 else:
     from cuda.bindings import driver
 
-    _NO_TIMES = driver.CUevent_flags.CU_EVENT_DISABLE_TIMING
-
 
 _ALIGN = 16  # bytes
 
@@ -33,7 +32,7 @@ def checked(result):
     """Return the value of a driver's call, or raise BackendError if it failed."""
     code = result[0]
     if code:
-        raise BackendError(f"the CUDA driver answered {code.name} to a frame's queue")
+        raise BackendError(f"the CUDA driver answered {code.name} to a copy")
     return result[1] if len(result) > 1 else None
 
 
@@ -73,13 +72,33 @@ def _free(clear):
             clear()
 
 
-def handle_of(stream):
-    """Return the driver's handle of a numba stream; 0: the default one."""
-    return driver.CUstream(0 if stream == 0 else stream.__cuda_stream__()[1])
+def copy_to_device(values, array):
+    """Queue the copy of pinned memory to a contiguous device array, from its beginning on."""
+    if SIMULATED:
+        array.copy_to_device(values)
+    else:
+        checked(driver.cuMemcpyHtoDAsync(_place(array), values.ctypes.data, values.nbytes, 0))
+
+
+def copy_to_host(array, values_out):
+    """Copy a whole contiguous device array to pinned memory of its size; waits."""
+    if SIMULATED:
+        array.copy_to_host(values_out)
+        return
+    checked(driver.cuMemcpyDtoH(values_out.ctypes.data, _place(array), values_out.nbytes))
+
+
+def _place(array):
+    """Return the address of a device array, which numba looks up in some microseconds."""
+    try:
+        return array.place
+    except AttributeError:
+        array.place = array.__cuda_array_interface__["data"][0]
+        return array.place
 
 
 class Event:
-    """A place in the queue of a stream that other streams or the host wait for.
+    """A place in the queue of the default stream, or another, that is waited for.
 
     One that was never recorded keeps nobody waiting. In the simulator, where all work is done at
     once, nothing happens.
@@ -88,29 +107,18 @@ class Event:
     def __init__(self):
         if not SIMULATED:
             prepare()  # without a context there are no events
-            self._handle = checked(driver.cuEventCreate(_NO_TIMES))
+            flag = driver.CUevent_flags.CU_EVENT_DISABLE_TIMING
+            self._handle = checked(driver.cuEventCreate(flag))
 
-    def record(self, stream):
-        """Mark the present end of the stream's queue."""
+    def record(self, stream=0):
+        """Mark the present end of a stream's queue."""
         if not SIMULATED:
-            checked(driver.cuEventRecord(self._handle, handle_of(stream)))
+            checked(driver.cuEventRecord(self._handle, stream))
 
-    def record_outside(self, stream):
-        """Mark it for who waits outside of a recorded queue: each launch of that marks it again."""
+    def wait(self, stream=0):
+        """Let work that is queued on a stream from now on wait for the mark."""
         if not SIMULATED:
-            handle = handle_of(stream)
-            is_recorded = int(checked(driver.cuStreamIsCapturing(handle))) != 0
-            checked(driver.cuEventRecordWithFlags(self._handle, handle, int(is_recorded)))
-
-    def wait(self, stream):
-        """Let work that is queued on the stream from now on wait for the mark."""
-        if not SIMULATED:
-            checked(driver.cuStreamWaitEvent(handle_of(stream), self._handle, 0))
-
-    @property
-    def is_past(self):
-        """Whether all work before the mark is done."""
-        return SIMULATED or int(driver.cuEventQuery(self._handle)[0]) == 0
+            checked(driver.cuStreamWaitEvent(stream, self._handle, 0))
 
     def synchronize(self):
         """Let the host wait for the mark."""
@@ -122,54 +130,86 @@ class Event:
             driver.cuEventDestroy(self._handle)
 
 
-def to_device(array, stream=0):
-    """Return a copy of a host array on the device, once it is there.
+class Counted:
+    """Small device arrays that the host reads, as soon as what was queued before is done.
 
-    A copy from memory that is not pinned may read it after the call has returned, when the array
-    may be gone. Nor would another stream wait for it.
+    kind : dtype
+    count : int
     """
-    found = cuda.to_device(array, stream)
-    _wait(found, stream)
-    return found
+
+    def __init__(self, count, kind):
+        self._seen = pinned(count, kind)
+
+    def read(self, array):
+        """Return the values of a device array, overwritten by the next call; waits."""
+        copy_to_host(array, self._seen)
+        return self._seen
 
 
-def send(array, values, stream=0):
-    """Copy host values to a device array and wait until they are there, see `to_device`."""
-    array.copy_to_device(values, stream=stream)
-    _wait(array, stream)
+class Download:
+    """Copies pictures of the device to the host beside what is queued after them.
 
+    A picture on the host is overwritten by the next copy but one.
+    """
 
-def fetch(array, stream=0):
-    """Return a copy of a device array on the host, once it is there."""
-    found = array.copy_to_host(stream=stream)
-    _wait(array, stream)
-    return found
+    def __init__(self):
+        self._values, self._count = [np.zeros((0, 0, 3), np.uint8)] * 2, 0
+        self._drawn, self._copied, self._stream = Event(), (Event(), Event()), None
+        if not SIMULATED:
+            flag = driver.CUstream_flags.CU_STREAM_NON_BLOCKING
+            self._stream = checked(driver.cuStreamCreate(flag))
+
+    def begin(self, image):
+        """Queue the copy of a device array, uint8; return that on the host, and an `Event`.
+
+        The latter is to be waited for.
+        """
+        self._count += 1
+        which = self._count % 2
+        copied = self._copied[which]
+        if self._values[which].shape != image.shape:
+            copied.synchronize()
+            self._values[which] = pinned(image.shape, np.uint8)
+        values = self._values[which]
+        if SIMULATED:
+            image.copy_to_host(values)
+            return values, copied
+        self._drawn.record()
+        self._drawn.wait(self._stream)
+        place, size = _place(image), values.nbytes
+        checked(driver.cuMemcpyDtoHAsync(values.ctypes.data, place, size, self._stream))
+        copied.record(self._stream)
+        copied.wait()  # the next picture overwrites the one on the device
+        return values, copied
+
+    def __del__(self):
+        if getattr(self, "_stream", None) is not None:
+            driver.cuStreamDestroy(self._stream)
 
 
 class Staging:
-    """Pinned memory through which host arrays go to the device, on a stream; nobody waits.
+    """Pinned memory through which host arrays go to the device; nobody waits.
 
     From other memory the driver copies a map of 3 MB in 2 to 3 ms, from pinned memory in .2.
-
-    stream : numba.cuda.stream
     """
 
-    def __init__(self, stream=0):
-        self._stream, self._bytes, self._used = stream, np.zeros(0, np.uint8), 0
+    def __init__(self):
+        self._bytes, self._used = np.zeros(0, np.uint8), 0
 
     def send(self, array, values, window=None):
         """Queue the copy of host values to a device array; they may be changed afterwards.
 
         array : device array. Contiguous, unless a window is sent.
-        values : ndarray. Of the shape of the array, or of the window.
+        values : ndarray. Of the shape of the array or with fewer rows, the first
+            ones; or of that of the window.
         window : tuple of slice, optional. Rows and columns of the array, of which
             the others stay.
         """
         if SIMULATED:
-            array[... if window is None else window] = values
+            array[slice(len(values)) if window is None else window] = values
             return
         if self._used + values.nbytes > len(self._bytes):
-            _wait(array, self._stream)  # it may still be read
+            cuda.synchronize()  # it may still be read
             self._used = 0
             if values.nbytes > len(self._bytes):
                 self._bytes = pinned(2 * values.nbytes, np.uint8)
@@ -178,36 +218,40 @@ class Staging:
         staged[...] = values
         self._used += aligned(values.nbytes)
         if window is None:
-            array.copy_to_device(staged, stream=self._stream)
+            copy_to_device(staged, array)
         else:
-            _copy_window(staged, array, window, self._stream)
+            _copy_window(staged, array, window)
 
 
-def _copy_window(host, array, window, stream):
+class SentRows:
+    """Rows of the host on the device, in an array that grows where it must.
+
+    shape : tuple of int. Of a row.
+    kind : dtype
+    array : device array (room, *shape)
+    """
+
+    def __init__(self, shape, kind):
+        self.array, self._staging = cuda.device_array((1, *shape), kind), Staging()
+
+    def send(self, values):
+        """Queue the copy of rows to the first ones of `array`; return it."""
+        if len(values) > len(self.array):
+            shape, kind = self.array.shape[1:], self.array.dtype
+            self.array = cuda.device_array((2 * len(values) + 1024, *shape), kind)
+        if len(values):
+            self._staging.send(self.array, np.ascontiguousarray(values, self.array.dtype))
+        return self.array
+
+
+def _copy_window(host, array, window):
     """Queue the copy of a contiguous host array to a window of a device array."""
     copy = driver.CUDA_MEMCPY2D()
     copy.srcMemoryType = driver.CUmemorytype.CU_MEMORYTYPE_HOST
     copy.srcHost, copy.srcPitch = host.ctypes.data, host[0].nbytes
     copy.dstMemoryType = driver.CUmemorytype.CU_MEMORYTYPE_DEVICE
     rows, columns = window
-    place = array.__cuda_array_interface__["data"][0] + rows.start * array.strides[0]
+    place = _place(array) + rows.start * array.strides[0]
     copy.dstDevice, copy.dstPitch = place + columns.start * array.strides[1], array.strides[0]
     copy.WidthInBytes, copy.Height = host[0].nbytes, len(host)
-    checked(driver.cuMemcpy2DAsync(copy, handle_of(stream)))
-
-
-def _wait(array, stream):
-    """Wait for the stream that numba has copied on: that of the array if none is given."""
-    if not SIMULATED and (stream or array.stream):
-        (stream or array.stream).synchronize()
-
-
-def copy_to_host(array, host_out, stream):
-    """Queue the copy of a whole contiguous device array to pinned memory of its size."""
-    if SIMULATED:
-        array.copy_to_host(host_out, stream=stream)
-        return
-    place = array.__cuda_array_interface__["data"][0]
-    checked(
-        driver.cuMemcpyDtoHAsync(host_out.ctypes.data, place, host_out.nbytes, handle_of(stream))
-    )
+    checked(driver.cuMemcpy2DAsync(copy, 0))

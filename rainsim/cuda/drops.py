@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.cuda.driver import fetch, to_device
+from rainsim.cuda.driver import Counted
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.rain.settling import (
@@ -70,12 +70,14 @@ class Columns(NamedTuple):
 
 
 @cuda_kernel
-def seek(columns, times, slot, field, surfaces, found_out, sought_out, tasks_out, words_out):
+def seek(
+    columns, start, stop, slot, field, surfaces, found_out, sought_out, tasks_out, words_out
+):  # fmt: skip
     """List the drops that may end in an interval: a cheap test of each in the air.
 
-    times : float64 device array (2,) [s]. Start and end.
-    slot : int32 device array (1,). Which list of impacts will be filled from
-        these drops; it is emptied.
+    start, stop : float [s]
+    slot : int. Which list of impacts will be filled from these drops; it is
+        emptied.
     field : DropField
     surfaces : HeightFields. Both of device arrays.
     found_out : int32 device array (slots,)
@@ -89,10 +91,9 @@ def seek(columns, times, slot, field, surfaces, found_out, sought_out, tasks_out
     heights = cuda.shared.array((BLOCK_COLUMNS, 2), np.float64)
     many = cuda.shared.array(BLOCK_COLUMNS, np.int32)  # cubes of each column
     ends = cuda.shared.array(BLOCK_COLUMNS, np.int32)  # and of all up to it
-    start, stop = times[0], times[1]
     thread, lane, most = cuda.threadIdx.x, cuda.threadIdx.x % GROUP, field.count.shape[1]
     if thread == 0 and cuda.blockIdx.x == 0:
-        found_out[slot[0]] = 0
+        found_out[slot] = 0
     total = columns.counts[CLASSES]
     batches = (total + BLOCK_COLUMNS - 1) // BLOCK_COLUMNS
     for batch in range(cuda.blockIdx.x, batches, cuda.gridDim.x):
@@ -159,24 +160,23 @@ def _holder_of(n, ends):
 
 @cuda_kernel
 def fill_impacts(
-    columns, times, slot, sought, tasks, words, field, surfaces, found_out, values_out, labels_out,
-    ids_out,
+    columns, start, stop, slot, sought, tasks, words, field, surfaces, found_out, values_out,
+    labels_out, ids_out,
 ):  # fmt: skip
     """List those of the drops sought that end in an interval.
 
-    columns, times, slot, sought, tasks, words, field, surfaces. As `seek` has and
-        left them.
+    columns, start, stop, slot, sought, tasks, words, field, surfaces. As `seek`
+        has and left them.
     found_out, values_out, labels_out, ids_out. See `ImpactLists`. The number
         found is beyond all room if there was none for a drop sought.
     """
     near = cuda.shared.array(_CHUNK, np.int32)  # drops that may meet something in the interval
     hitting = cuda.shared.array(_CHUNK, np.int32)  # drops that would, if nothing stopped them
     waiting = cuda.shared.array(2, np.int32)
-    start, stop, which = times[0], times[1], slot[0]
     thread, room = cuda.threadIdx.x, words.shape[0]
     listed = min(sought[0], room)
     if cuda.grid(1) == 0 and sought[0] > room:
-        cuda.atomic.add(found_out, which, ids_out.shape[1] + sought[0] - room)
+        cuda.atomic.add(found_out, slot, ids_out.shape[1] + sought[0] - room)
     # Each test keeps less than half of the drops; those that are kept go on in full warps.
     for begin in range(cuda.blockIdx.x * _CHUNK, listed, cuda.gridDim.x * _CHUNK):
         if thread == 0:
@@ -217,17 +217,17 @@ def fill_impacts(
                     x, y, z, vx, vy, vz, -np.inf, stop + TIME_MARGIN, surfaces
                 )
                 wanted = start <= time < stop
-            place = claim_row(found_out, which, wanted)
+            place = claim_row(found_out, slot, wanted)
             if wanted and place < ids_out.shape[1]:
                 word = words[n]
-                values_out[which, place, X] = x + vx * time
-                values_out[which, place, Y] = y + vy * time
-                values_out[which, place, Z] = z + vz * time
-                values_out[which, place, DIAMETER] = drop_diameter(word, b, field)
-                values_out[which, place, TIME] = time
-                labels_out[which, place, CLASS], labels_out[which, place, KIND] = b, kind
-                labels_out[which, place, ROW], labels_out[which, place, COLUMN] = row, column
-                ids_out[which, place] = word
+                values_out[slot, place, X] = x + vx * time
+                values_out[slot, place, Y] = y + vy * time
+                values_out[slot, place, Z] = z + vz * time
+                values_out[slot, place, DIAMETER] = drop_diameter(word, b, field)
+                values_out[slot, place, TIME] = time
+                labels_out[slot, place, CLASS], labels_out[slot, place, KIND] = b, kind
+                labels_out[slot, place, ROW], labels_out[slot, place, COLUMN] = row, column
+                ids_out[slot, place] = word
         cuda.syncthreads()
 
 
@@ -283,19 +283,18 @@ def _column_of(task, columns):
 class Listed(FrameUniforms):
     """The interval that is listed, as kernels take it; each `send` blanks "sought".
 
-    stream : cuda.stream
     field : RainField. Of the weather.
     columns : Columns
     field : DropField. Of device arrays both.
     """
 
-    def __init__(self, stream, field):
-        f8, i8, i4 = np.float64, np.int64, np.int32
+    def __init__(self, field):
+        i8, i4 = np.int64, np.int32
         names = {
             "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
-            "times": ((2,), f8), "slot": ((1,), i4), "sought": ((1,), i4),
+            "sought": ((1,), i4),
         }  # fmt: skip
-        super().__init__(stream, names | arrays_of(field))
+        super().__init__(names | arrays_of(field))
         self.columns = Columns(*(self[name] for name in Columns._fields))
         self.field = DropField(*(self[name] for name in DropField._fields))
         self._taken = None
@@ -310,97 +309,87 @@ class Listed(FrameUniforms):
 class Impacts:
     """The drops that end on a map, listed on a CUDA device; twin of `drops.impacts`.
 
-    field : RainField. Of the weather; `update` takes those of other times.
-    room : int. Of a list.
-    stream : cuda.stream
+    field : RainField. Of the weather; `list` takes those of other times.
+    room : int. Of a list; it grows where it does not suffice.
     slots : int. Lists that are kept.
     lists : ImpactLists. In no order.
-    obstacles : int64 device array (1,). Volume that fell on obstacles since the
-        start, in VOLUME_UNIT.
     surfaces : HeightFields. Of device arrays.
     """
 
-    def __init__(self, field, surfaces, room, stream=0, slots=1):
-        self.stream = stream
+    def __init__(self, field, surfaces, room, slots=1):
         corner, (ny, nx) = np.array([*surfaces.origin, 0.0]), surfaces.shape
         self._corners = corner, corner + np.array([nx, ny, 0.0]) * surfaces.spacing
-        f8, i8, i4 = np.float64, np.int64, np.int32
-        self.surfaces = sent_surfaces(surfaces, stream)
-        self._no_drips = to_device(np.zeros((0, 0), i4), stream), to_device(np.zeros(0, i8), stream)
-        self.now = Listed(stream, field)
-        self.settled = FrameUniforms(stream, {"times": ((2,), f8), "slot": ((1,), i4)})
-        self._fall = to_device(np.ascontiguousarray(-field.velocity[:, 2]), stream)
+        self.surfaces = sent_surfaces(surfaces)
+        self._now = Listed(field)
+        self._fall = cuda.to_device(np.ascontiguousarray(-field.velocity[:, 2]))
+        self._found, self._slots = Counted(slots, np.int32), slots
+        self.make_room(room)
+
+    def make_room(self, room):
+        """Take other lists, empty ones with room for so many hits each."""
+        self.room, slots, i4 = room, self._slots, np.int32
         many = SOUGHT * room + 2**16  # those near tall things are sought for longer
-        self._tasks = cuda.device_array((many, 2), i4, stream=stream)
-        self._words = cuda.device_array(many, np.uint64, stream=stream)
-        self.room = room
+        self._tasks = cuda.device_array((many, 2), i4)
+        self._words = cuda.device_array(many, np.uint64)
         self.lists = ImpactLists(
-            to_device(np.zeros(slots, i4), stream),
-            cuda.device_array((slots, room, VALUES), f8, stream=stream),
-            cuda.device_array((slots, room, LABELS), i4, stream=stream),
-            cuda.device_array((slots, room), np.uint64, stream=stream),
+            cuda.to_device(np.zeros(slots, i4)),
+            cuda.device_array((slots, room, VALUES), np.float64),
+            cuda.device_array((slots, room, LABELS), i4),
+            cuda.device_array((slots, room), np.uint64),
         )
-        self.obstacles = to_device(np.zeros(1, i8), stream)
 
-    def update(self, field, start, stop, smallest=0.0, slot=0):
-        """Set the interval that `launch` lists next, and which list it fills and `settle` settles.
+    def list(self, field, start, stop, smallest=0.0):
+        """List the drops that end in an interval; arguments as `rainsim.drops.impacts` has them."""
+        self._queue(field, start, stop, smallest)
+        while (lacking := self.lacking()) > 0:
+            self.make_room(self.room + 2 * lacking)
+            self._queue(field, start, stop, smallest)
 
-        Arguments as `rainsim.drops.impacts` has them.
-        """
-        self.settled.update(times=(start, stop), slot=slot)
-        self._set(self.now, field, start, stop, smallest, slot)
-
-    def _set(self, now, field, start, stop, smallest, slot):
-        """Set the interval of a `Listed`."""
+    def _queue(self, field, start, stop, smallest=0.0, slot=0):
+        """Queue the filling of a list."""
         first, last = field.cubes_in(*self._corners, start, stop - start)
         sides = np.maximum(last - first + 1, 0)
         columns = sides[:, 0] * sides[:, 1] * (field.spectrum.edges[1:] > smallest)
+        now = self._now
         now.host["counts"][1:] = columns.cumsum()
-        now.update(first=first, last=last, times=(start, stop), slot=slot)
+        now.update(first=first, last=last)
         now.take(field)
-
-    def launch(self, stream=None, now=None):
-        """Queue the listing of the interval of `update`, or of that of another `Listed`.
-
-        On another stream than its own if given.
-        """
-        stream, now = self.stream if stream is None else stream, self.now if now is None else now
-        now.send(stream)
-        times, slot, sought = now["times"], now["slot"], now["sought"]
-        seek[BLOCKS, THREADS, stream](
-            now.columns, times, slot, now.field, self.surfaces, self.lists.found, sought,
+        now.send()
+        times = float(start), float(stop), slot
+        seek[BLOCKS, THREADS](
+            now.columns, *times, now.field, self.surfaces, self.lists.found, now["sought"],
             self._tasks, self._words,
         )  # fmt: skip
-        fill_impacts[BLOCKS, THREADS, stream](
-            now.columns, times, slot, sought, self._tasks, self._words, now.field,
+        fill_impacts[BLOCKS, THREADS](
+            now.columns, *times, now["sought"], self._tasks, self._words, now.field,
             self.surfaces, *self.lists,
         )  # fmt: skip
 
-    def settle(self, water, ripples, stream=0, drips=None):
-        """Queue the giving of a list's water to `water` and `ripples`.
+    def lacking(self):
+        """Return how many hits the fullest list has no room for; waits."""
+        return max(int(self._found.read(self.lists.found).max()) - self.room, 0)
 
-        Where objects drip, `drips` are `point` and `came` of `cuda.rain.dripping.Drips`.
+    def settle(self, start, stop, land, ripples, point, came_out):
+        """Queue the giving of the first list's water to `land`, `ripples` and drip points.
+
+        start, stop : float [s]. The interval that is listed.
+        land : DeviceSources
+        ripples : Ripples
+        point, came_out : device arrays. See `settling.settle`.
         """
-        self.settled.send(stream)
-        point, came = drips or self._no_drips
         blocks = -(-self.room // THREADS) if not SIMULATED else 2
-        settle[blocks, THREADS, stream](
-            self.lists, self.settled["times"], self.settled["slot"], self._fall,
-            water.cells,
-            ripples.tile, point, water.waiting, self.obstacles, came, ripples.pushes,
+        settle[blocks, THREADS](
+            self.lists, float(start), float(stop), 0, self._fall, land.cells, ripples.tile, point,
+            land.waiting, came_out, ripples.pushes,
         )  # fmt: skip
 
-    def missing(self):
-        """Return how many hits the first list had no room for; waits for them."""
-        return max(int(fetch(self.lists.found, self.stream)[0]) - self.room, 0)
 
-
-def sent_surfaces(surfaces, stream):
+def sent_surfaces(surfaces):
     """Return the `HeightFields` of a map with its arrays on the device."""
     fields = surfaces.height_fields()
     return fields._replace(
         **{
-            name: to_device(value, stream)
+            name: cuda.to_device(value)
             for name, value in fields._asdict().items()
             if isinstance(value, np.ndarray)
         }

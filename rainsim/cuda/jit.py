@@ -21,6 +21,7 @@ from numba import cuda, types  # noqa: E402
 SIMULATED = bool(cuda.config.ENABLE_CUDASIM)
 if not SIMULATED:
     from rainsim.cuda.kernel_cache import CudaKernelCache
+    from rainsim.cuda.launch import LaunchedKernel
 # Small maps and pictures are legitimate, so numba must not warn of low occupancy. Numba reads the
 # environment again when it changes, so the variable is set too.
 os.environ["NUMBA_CUDA_LOW_OCCUPANCY_WARNINGS"] = "0"
@@ -35,6 +36,7 @@ def _kernel(**options):
             folder = CACHE_FOLDER / function.__module__
             kernel._cache = CudaKernelCache(function, folder, str(options))
             KERNELS[kernel._cache.kernel_name] = kernel
+            return LaunchedKernel(kernel)
         return kernel
 
     return decorate

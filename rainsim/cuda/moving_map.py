@@ -7,8 +7,8 @@ class MovingMap:
     """A map on a device that follows one of the host, over which things move.
 
     there : device array of shape (ny, nx, ...). Written to by `send`.
-    still : object. What `there` has been filled from, see `send`.
-    still : object. None: all is to be sent.
+    still : object. What `there` has been filled from, see `send`; None: all is to
+        be sent.
     """
 
     def __init__(self, there, staging, still=None):

@@ -65,8 +65,9 @@ class Drips:
         self._from = np.where(self._falls, under, lands)
         self._to = lands
         self._next = self.point[self._row, self._column]  # drips on a lower object go on
-        cells = np.bincount(self.point[self.point >= 0], minlength=count)
-        self._room = cells * spacing**2 * FILM * (0.0 if wet else 1.0)
+        self._cells = np.bincount(self.point[self.point >= 0], minlength=count)
+        self._stuck = np.count_nonzero(self.point == -2)  # cells
+        self._room = self._cells * spacing**2 * FILM * (0.0 if wet else 1.0)
         part = uniform(mix(self._key ^ np.uint64(7)))
         self._store = self._volume * part * (1.0 if wet else 0.0)
         self._store[~self._falls] = 0.0
@@ -110,18 +111,20 @@ class Drips:
         hit = hits.kind == OBSTACLE
         goes, volume = self.point[hits.row[hit], hits.column[hit]], hits.volume[hit]
         came = np.bincount(goes[goes >= 0], volume[goes >= 0], minlength=len(self._store))
-        return self._take(came, float(volume[goes < 0].sum()), fine_depth)
+        return self.take_water(came, float(volume[goes < 0].sum()), fine_depth)
 
     def take_even_rain(self, depth):
         """Give the objects a depth [m] of even rain; return the water that came [m3]."""
-        return self._take(0.0, 0.0, depth)
+        return self.take_water(0.0, 0.0, depth)
 
-    def _take(self, came, lost, depth):
-        """Take water on its way to each edge and to none [m3], and a depth [m] on every cell."""
+    def take_water(self, came, lost, depth):
+        """Give the objects water [m3] that goes to each point and to none, and even rain [m].
+
+        Returns float. The water that came [m3].
+        """
         each = depth * self._surfaces.spacing**2
-        cells = np.bincount(self.point[self.point >= 0], minlength=len(self._store))
-        came = cells * each + came
-        lost += each * np.count_nonzero(self.point == -2)
+        came = self._cells * each + came
+        lost += each * self._stuck
         self._lost += lost
         self._receive(came)
         return float(came.sum()) + lost

@@ -7,7 +7,7 @@ import numpy as np
 from rainsim.actors.motion import same_place
 from rainsim.raster import prepare
 from rainsim.scene.splat_sets import joined
-from rainsim.shading.wet_ground_mirror import in_level_picture
+from rainsim.shading.wet_ground_mirror import as_in_level_picture, in_level_picture
 from rainsim.splatting.merged import Merger
 
 
@@ -76,14 +76,19 @@ class ActorSplats:
         """Return the `Merger` of other static splats, as many in the scene they came from."""
         return Merger(static, self._most)
 
-    def standing(self, terrain, frame):
-        """Return the standing splats for the level picture, actors included."""
+    def standing_static(self, terrain, frame):
+        """Return the standing splats of the static set for the level picture."""
         if self._standing is None:
             static = in_level_picture(self.static, terrain, frame)
             self._standing = Merger(static, self._most)
+        return self._standing.static
+
+    def standing(self, terrain, frame):
+        """Return the standing splats for the level picture, actors included."""
+        self.standing_static(terrain, frame)
         actors = None
         if self.splats is not None:
-            actors = in_level_picture(prepare(self.splats), terrain, frame)
+            actors = as_in_level_picture(prepare(self.splats), frame)
         return self._standing.merged(actors, 0)
 
     def numbers(self, hit):

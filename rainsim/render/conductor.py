@@ -42,9 +42,9 @@ from rainsim.water.tracks import NO_TRACKS, tracks_of
 
 # What is chosen before the first frame, and again when settings that it reads have changed.
 SET_UP = (
-    Pass("tables", "", ("terrain", "rings", "wind"), ("laid",)),
-    Pass("meter", "", ("metering", "film"), ("metered",)),
-    Pass("choose film", "", ("film",), ("chosen",)),
+    Pass("tables", ("terrain", "rings", "wind"), ("laid",)),
+    Pass("meter", ("metering", "film"), ("metered",)),
+    Pass("choose film", ("film",), ("chosen",)),
 )
 RING_DEPTH = 5e-3  # m of water on which rings travel in under cover
 

@@ -70,6 +70,7 @@ class DrawnCapture:
             turn(self.drawn, *normals)
         self.rasterizer = rasterizer_of(self.drawn) if paged is None else paged.whole
         self._standing = self._captured = self._captured_merger = None  # on demand
+        self._stands = None  # the change for which the standing actors were put
         self.changes = 0
 
     def forget_whole(self):
@@ -99,7 +100,7 @@ class DrawnCapture:
             self.rasterizer.recolor(self.drawn)
         if self.actors is not None:
             self._put_actors()
-        self._changed()
+        self._standing, self.changes = None, self.changes + 1
 
     def move_actors(self, time):
         """Take over where the scene's actors are at a time [s]; return whether they have moved.
@@ -109,7 +110,7 @@ class DrawnCapture:
         if self.actors is None or not self.actors.set_time(time):
             return False
         self._put_actors()
-        self._changed()
+        self.changes += 1
         return True
 
     def _put_actors(self):
@@ -118,10 +119,6 @@ class DrawnCapture:
             self.rasterizer.pose_actors(self.actors)
         else:
             self.paged.put_actors(self.actors, self.frame)
-
-    def _changed(self):
-        self._standing = None
-        self.changes += 1
 
     # ---- what is drawn
 
@@ -183,7 +180,7 @@ class DrawnCapture:
         camera = self.frame.camera_in_capture(resize_to(view, FINER * view.width))
         return camera, self.layers(camera, leading=True, **options)
 
-    def level_layers(self, level):
+    def level_layers(self, level, **options):
         """Return camera and layers of standing things, mirrored at the plane of the ground.
 
         `level` is the level, upright camera (ground frame) that is mirrored.
@@ -192,24 +189,24 @@ class DrawnCapture:
             self._standing = self.paged.standing
         if self._standing is None:
             place = self._terrain, self.frame
-            standing = in_level_picture(self.prepared, *place) if self.actors is None else (
-                self.actors.standing(*place)
-            )  # fmt: skip
-            self._standing = self._rasterizer_of(standing)
+            if self.actors is None:
+                standing = in_level_picture(self.prepared, *place)
+            else:
+                standing = self.actors.standing_static(*place)
+            self._standing, self._stands = self._rasterizer_of(standing), None
+        if self.paged is None and self.actors is not None and self._stands != self.changes:
+            self._standing.pose_actors(self.actors, (self._terrain, self.frame))
+            self._stands = self.changes
         _, camera = mirrored_camera(self.frame.camera_in_capture(level), self.frame, 0.0)
-        options = {}
         if self.paged is not None:
-            options = {"threshold": self.standing_threshold(camera)}
+            options["threshold"] = self.paged.standing.detail * max(camera.fx / RESOLUTION, 1.0)
         return camera, self._standing.draw(camera, self.near, **options)
 
-    def standing_threshold(self, camera):
-        """Return the threshold [px] of standing things in chunks: that at RESOLUTION."""
-        return self.paged.standing.detail * max(camera.fx / RESOLUTION, 1.0)
-
-    def mirrored_layers(self, camera, level, window, step=1):
+    def mirrored_layers(self, camera, level, window, step=1, **options):
         """Return camera and layers of a camera mirrored at a level, see `WetScene.mirrored`."""
         plane, camera = mirrored_camera(camera, self.frame, level)
         camera = cropped(camera, window)
         camera = camera.resized(camera.width // step, camera.height // step)
         cells = merged_cells(self.merge, step)
-        return camera, self.rasterizer.draw(camera, self.near, plane, leading=True, detail=cells)
+        options = {"leading": True, "detail": cells, **options}
+        return camera, self.rasterizer.draw(camera, self.near, plane, **options)

@@ -50,66 +50,57 @@ INPUTS = {
 }
 
 
-# Parts of a frame, which a GPU records apart.
-SPLAT = "splat"  # needs the camera and the capture alone
-DRY = "dry"  # needs no water; drawn once for a camera that stands still
-SURFACE = "surface"  # of the water, whatever the camera
-WET = "wet"  # all else
-
-
 class Pass(NamedTuple):
     """A part of a frame's work.
 
     name : str. By which a backend knows what to compute, and by which times are
         reported.
-    part : str. SPLAT, DRY, SURFACE or WET.
-    reads : tuple of str. Inputs, and buffers that earlier passes write. The CPU's
-        function takes their values in this order.
-    writes : tuple of str. Buffers. The CPU's function returns them in this order.
+    reads : tuple of str. Inputs, and buffers that earlier passes write. A
+        backend's function takes their values in this order.
+    writes : tuple of str. Buffers. The function returns them in this order.
     """
 
     name: str
-    part: str
     reads: tuple
     writes: tuple
 
 
 PASSES = (
     # The capture, graded and wet, with what wet ground mirrors.
-    Pass("splat level", SPLAT, ("camera", "capture"), ("level_layers",)),
-    Pass("splat", SPLAT, ("camera", "capture"), ("layers",)),
-    Pass("light on wet ground", DRY, ("level_layers", "scene", "ground_camera"),
+    Pass("splat level", ("camera", "capture"), ("level_layers",)),
+    Pass("light on wet ground", ("level_layers", "scene", "ground_camera"),
          ("field_on_ground",)),
-    Pass("grade and wet", DRY, ("layers", "view", "scene", "film_apart"),
+    Pass("splat", ("camera", "capture"), ("layers",)),
+    Pass("grade and wet", ("layers", "view", "scene", "film_apart"),
          ("below", "depth", "clearance", "cover")),
-    Pass("film", DRY, ("below", "depth", "clearance", "cover", "view", "ground_camera", "scene",
-                       "ground", "field_on_ground"), ("picture",)),
+    Pass("film", ("below", "depth", "clearance", "cover", "view", "ground_camera", "scene",
+                  "ground", "field_on_ground"), ("picture",)),
     # The water, and what falls before it.
-    Pass("water surface", SURFACE, ("water", "rings", "ground"), ("surface",)),
-    Pass("find tall", WET, ("depth", "clearance"), ("tall",)),
-    Pass("light of drops", WET, ("picture", "depth", "view", "scene", "everywhere"),
+    Pass("water surface", ("water", "rings", "ground"), ("surface",)),
+    Pass("find tall", ("depth", "clearance"), ("tall",)),
+    Pass("light of drops", ("picture", "depth", "view", "scene", "everywhere"),
          ("drop_light",)),
-    Pass("list drops", WET, ("ground_camera", "ground_camera_end", "time", "render", "field"),
+    Pass("list drops", ("ground_camera", "ground_camera_end", "time", "render", "field"),
          ("drops",)),
-    Pass("streaks", WET, ("drops", "depth", "ground_camera", "ground_camera_end", "time", "render",
-                          "field", "surfaces", "drips", "rolls"), ("rain_alpha", "fog")),
-    Pass("list splashes", WET, ("drops", "depth", "field", "surfaces", "drips", "water"),
+    Pass("streaks", ("drops", "depth", "ground_camera", "ground_camera_end", "time", "render",
+                     "field", "surfaces", "drips", "rolls"), ("rain_alpha", "fog")),
+    Pass("list splashes", ("drops", "depth", "field", "surfaces", "drips", "water"),
          ("splashes",)),
-    Pass("splashes", WET, ("splashes", "rain_alpha", "depth", "ground_camera",
-                           "ground_camera_end", "time", "interval", "render", "field", "surfaces",
-                           "drips", "water", "paving"),
+    Pass("splashes", ("splashes", "rain_alpha", "depth", "ground_camera",
+                      "ground_camera_end", "time", "interval", "render", "field", "surfaces",
+                      "drips", "water", "paving"),
          ("splash_alpha",)),
-    Pass("find water", WET, ("depth", "view", "surface", "tops", "scene", "methods"), ("seen",)),
-    Pass("mirror", WET, ("seen", "tops", "camera", "view", "scene", "methods", "mirror_step"),
+    Pass("find water", ("depth", "view", "surface", "tops", "scene", "methods"), ("seen",)),
+    Pass("mirror", ("seen", "tops", "camera", "view", "scene", "methods", "mirror_step"),
          ("mirrors",)),
-    Pass("reflection", WET, ("seen", "mirrors", "ripples", "tops", "picture", "depth", "clearance",
-                             "tall", "view", "scene", "methods"), ("reflected",)),
-    Pass("water", WET, ("seen", "reflected", "picture", "below", "depth", "view", "sun",
-                        "methods"), ("shown",)),
-    Pass("light of the rain", WET, ("drop_light", "air", "shown", "render"), ("rain_light",)),
-    Pass("glare", WET, ("shown", "ground_camera", "brightness", "render"), ("dazzling",)),
-    Pass("compose", WET, ("dazzling", "depth", "rain_alpha", "splash_alpha", "fog", "rain_light",
-                          "view", "brightness"), ("image",)),
+    Pass("reflection", ("seen", "mirrors", "ripples", "tops", "picture", "depth", "clearance",
+                        "tall", "view", "scene", "methods"), ("reflected",)),
+    Pass("water", ("seen", "reflected", "picture", "below", "depth", "view", "sun",
+                   "methods"), ("shown",)),
+    Pass("light of the rain", ("drop_light", "air", "shown", "render"), ("rain_light",)),
+    Pass("glare", ("shown", "ground_camera", "brightness", "render"), ("dazzling",)),
+    Pass("compose", ("dazzling", "depth", "rain_alpha", "splash_alpha", "fog", "rain_light",
+                     "view", "brightness"), ("image",)),
 )  # fmt: skip
 TRANSIENT = frozenset({"layers", "level_layers"})  # dropped with the picture: 36 bytes a pixel
 
@@ -219,25 +210,6 @@ def passes_to(names, passes=PASSES, given=frozenset()):
             found.append(each)
             wanted.update(set(each.reads) - given)
     return found[::-1]
-
-
-def reads_of(passes, launched):
-    """Return what each of some passes reads, where others are computed with those that read them.
-
-    passes : sequence of Pass
-    launched : container of str. Names of those that a backend computes by
-        themselves.
-    Returns dict of str to set of str. By the names of those launched: inputs, and
-        buffers that others of them write.
-    """
-    found, within = {}, {}
-    for each in passes:
-        reads = set().union(*(within.get(name, {name}) for name in each.reads))
-        if each.name in launched:
-            found[each.name] = reads
-        else:
-            within.update(dict.fromkeys(each.writes, reads))
-    return found
 
 
 def is_same(value, other):

@@ -20,7 +20,7 @@ from rainsim.raster import prepare
 from rainsim.scene.harmonics import padded
 from rainsim.shading.diffuse import level_cells, share_of_level, without_gloss
 from rainsim.shading.visibility import pale
-from rainsim.shading.wet_ground_mirror import in_level_picture
+from rainsim.shading.wet_ground_mirror import as_in_level_picture, in_level_picture
 
 STANDING = 1.4  # times the threshold in what wet ground mirrors: with coarser levels lamps fade
 
@@ -75,7 +75,7 @@ class PagedScene:
         front = standing = captured = None
         if actors.splats is not None:
             front = captured = _numbered(prepare(actors.splats), actors)
-            standing = in_level_picture(prepare(actors.splats), self._terrain, frame)
+            standing = as_in_level_picture(prepare(actors.splats), frame)
         self.whole.recolor(front)
         self.captured.recolor(captured)
         self.standing.recolor(standing)

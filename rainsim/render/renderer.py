@@ -104,18 +104,20 @@ class Renderer:
             yield self.draw(camera, state, camera_end, names)
 
 
-def report_of(conductor, state, stages, names=()):
+def report_of(conductor, state, stages, names=(), frame=None):
     """Return the `FrameReport` of a frame whose layers `names` are made; takes over the notes.
 
     state : SimState or DeviceState
     stages : dict of str to float [ms]
     names : sequence of str
+    frame : Frame, optional. That holds the layers; by default the conductor's.
     """
     notes, conductor.notes = (*state.notes, *conductor.notes), []
     given = state.index, state.time, stages, state.ledger, notes
     if not names:
         return FrameReport(*given)
-    frame, light = conductor.frame, conductor.frame["rain_light"]
+    frame = conductor.frame if frame is None else frame
+    light = frame["rain_light"]
     radiances = {
         "drop": light.drops.tolist(), "around": light.around.tolist(), "air": light.air.tolist(),
         "brightness": float(conductor.brightness),

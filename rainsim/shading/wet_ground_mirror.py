@@ -288,15 +288,17 @@ class WetGroundMirror:
     config : RenderConfig. Its `film` and `reflections` name the method.
     drawn : bool. Whether the level picture is drawn; without it ground mirrors
         the environment only.
+    shared_camera : Camera or None. See `share_level`.
     """
 
     def __init__(self, terrain, config):
         self.terrain, self.config = terrain, config
         self.drawn = config.film == "mirror"
-        self._level = _level_picture
+        self._level, self.shared_camera = _level_picture, None
 
     def share_level(self, camera):
         """Draw one level picture, a camera's (ground frame), for all; None: each has its own."""
+        self.shared_camera = camera
         common = camera and functools.cache(functools.partial(_level_picture, camera))
         self._level = (lambda _, draw_mirrored: common(draw_mirrored)) if common else _level_picture
 

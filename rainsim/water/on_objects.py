@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +29,7 @@ class Objects:
         self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
         self._surfaces, self._roughness = surfaces, rain.roughness
         self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
-        self.tops, self._full_after = tops, (math.inf, None)
+        self.tops = tops
         self._on_tops = tops.after(rain.past, dried)
         if self.drips is not None:
             self._fill_tops()
@@ -45,29 +44,15 @@ class Objects:
         self._room = np.bincount(which, room[over], len(pairs))
         self._room_of = np.bincount(self._point, self._room, count)
         self._room_on = np.maximum(np.bincount(self._top, self._room, tops), SMALLEST_ROOM)
-        area = self._surfaces.spacing**2
-        self._area_of = area * np.bincount(points[points >= 0], minlength=count)
         share = self._on_tops / np.maximum(self.tops.capacity, SMALLEST_ROOM)
-        self._held_of = np.bincount(self._point, self._room * share[self._top], count)
-        self.drips.hold(self._room_of, self._held_of)
+        held = np.bincount(self._point, self._room * share[self._top], count)
+        self.drips.hold(self._room_of, held)
 
     def top_water(self):
         """Return the water on each top now [m3], (n,)."""
         if self.drips is None or not len(self._on_tops):
             return self._on_tops.copy()
         return self._on_each(np.maximum(self._room_of - self.drips.room, 0.0))
-
-    def top_water_after(self, rain):
-        """Return the water on each top [m3] (n,) after `rain` [m] that falls evenly."""
-        if self.drips is None or not len(self._on_tops):
-            return self._on_tops.copy()
-        enough, full = self._full_after
-        if rain < enough:
-            held = np.minimum(self._held_of + self._area_of * rain, self._room_of)
-            full = self._on_each(held)
-            if (held == self._room_of).all():  # more rain changes nothing
-                self._full_after = rain, full
-        return full.copy()
 
     def _on_each(self, held):
         """Return the water on each top [m3] from the water `held` behind each drip point [m3]."""
@@ -86,9 +71,18 @@ class Objects:
         if self.drips is not None:
             self._came += self.drips.take_rain(hits, fine_depth)
         else:
-            fallen = float(hits.volume[hits.kind != GROUND].sum())
-            self._came += fallen
-            self._kept += fallen
+            self.take_water(hits.volume[hits.kind != GROUND], fine_depth)
+
+    def take_water(self, came, fine_depth):
+        """Give the objects water [m3] that goes to each drip point and, the last, to none.
+
+        fine_depth : float [m]. Of the rain that is too fine for drops.
+        """
+        if self.drips is not None:
+            self._came += self.drips.take_water(came[:-1], float(came[-1]), fine_depth)
+        else:
+            self._came += float(came.sum())
+            self._kept += float(came.sum())
 
     def take_even_rain(self, depth):
         """Give the objects a depth [m] of rain that falls evenly."""
@@ -113,10 +107,15 @@ class Objects:
 
     def with_drips(self, hits, start, stop):
         """Return `hits` and the drips that came to the ground from `start` to `stop` [s]."""
+        landed = self.landed(start, stop)
+        return hits if landed is None else joined(hits, landed)
+
+    def landed(self, start, stop):
+        """Return the drips that came to the ground from `start` to `stop` [s], or None."""
         if self.drips is None:
-            return hits
+            return None
         drips = drip_impacts(*self.drips.falling(), self._surfaces, start, stop)
-        return joined(hits, drips.take(drips.kind == GROUND))
+        return drips.take(drips.kind == GROUND)
 
     def falling(self):
         """Return the drips in the air and their ids, as `SimState` holds them."""
@@ -128,17 +127,10 @@ class Objects:
         if self.drips is not None:
             held, airborne = held + self.drips.held, self.drips.airborne
         ledger = solver.ledger if report is None else report.ledger
-        return self.with_objects(ledger, self._came, self._returned, held, airborne, self.inflow)
-
-    def with_objects(self, ledger, came, returned, held, airborne, inflow):
-        """Return a solver's ledger with the objects' water [m3] in it.
-
-        `came` to the objects, `returned` to the ground, is `held` on them, is `airborne` as drips
-        now, or came as `inflow` from outside the map.
-        """
         return replace(
             ledger, initial=ledger.initial + self.initial,
             # The solver books water from objects and from outside as rain.
-            rain=ledger.rain + (came - returned - inflow), inflow=ledger.inflow + inflow,
-            obstacles=ledger.obstacles + held, airborne=ledger.airborne + airborne,
+            rain=ledger.rain + (self._came - self._returned - self.inflow),
+            inflow=ledger.inflow + self.inflow, obstacles=ledger.obstacles + held,
+            airborne=ledger.airborne + airborne,
         )  # fmt: skip

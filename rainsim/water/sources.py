@@ -48,6 +48,11 @@ class Sources:
             self.rain_sum = float(self._rain.sum(dtype=np.float64))
             self._rain_rate = rain if np.ndim(rain) == 0 else None
 
+    def restore(self, arrays):
+        """Take over film and rain of a saved state."""
+        self.film[:] = arrays["film"]
+        self.set_rain(arrays["rain"])
+
     @property
     def rain(self):
         """Rain rates, ndarray of shape (ny, nx) [m/s]; a view."""

@@ -52,7 +52,7 @@ def terrain(scene):
 
 def test_the_map_follows_what_moves_over_it(terrain):
     moving, (footprint,) = MovingSurfaces(terrain), terrain.footprints
-    heights = MovingHeights(moving.still, terrain.footprints, 0)
+    heights = MovingHeights(moving.still, terrain.footprints)
     # The box is 0.28 m high, on cells of 0.1 m, and may turn any way.
     assert 0.28 < footprint.highest < 1.0 and heights.fields.sky >= moving.still.sky
     shown = []
@@ -107,6 +107,7 @@ def test_frames_and_labels_are_those_of_the_cpu(scene, terrain, monkeypatch):
     wanted = [cpu.draw(camera, state, None, LAYERS) for state in states]
     assert (wanted[0][0] != wanted[1][0]).any(axis=-1).mean() > 0.05
     gpu, sent = twin.Renderer(scene, terrain, CONFIG, camera), []
+    gpu.draw(camera, states[1])  # which sends the static sets
     send = DeviceSplats._send_harmonics
     monkeypatch.setattr(
         DeviceSplats, "_send_harmonics",

@@ -1,28 +1,19 @@
-"""The drips' twin in numba's CUDA simulator; `tests/cuda/test_cuda.py` runs this file."""
-
-from itertools import pairwise
-from types import SimpleNamespace
+"""Drips in pictures in numba's CUDA simulator; `tests/cuda/test_cuda.py` runs this file."""
 
 import numpy as np
 import pytest
-from simulated_drops import Ground
 
 from rainsim.cuda import simulated
 from rainsim.cuda.drops import Impacts
 from rainsim.cuda.particles.splash_pass import Splashes
 from rainsim.cuda.particles.streaks import Streaks
-from rainsim.cuda.rain.dripping import LISTED, DripList, Drips, volumes
-from rainsim.cuda.rain.settling import PUSH_UNIT, VOLUME_UNIT
-from rainsim.cuda.render.rain_pass import RainPass
+from rainsim.cuda.rain.drip_list import DripList
 from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces
 from rainsim.drops import Impacts as Hits
-from rainsim.errors import BackendError
 from rainsim.particles.splash_pass import draw_splashes
 from rainsim.particles.streaks import draw_streaks
-from rainsim.rain.dripping import Drips as HostDrips
-from rainsim.rain.dripping import drip_impacts, drips_seen
+from rainsim.rain.dripping import Drips, drip_impacts, drips_seen
 from rainsim.scene.types import Camera
-from rainsim.water.ripples import LAYERS, tile_impacts
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.
@@ -53,109 +44,30 @@ def hits_on(surfaces, rng):
 
 
 @pytest.fixture(scope="module")
-def steps():
-    """Both sides, ten steps of rain; each step's table, ids, depths, momentum and volumes."""
-    surfaces = shelves()
-    host = HostDrips(surfaces, seed=3)
-    rng = np.random.default_rng(2)
-    for n in range(-6, 0):  # something is in the air at the start
-        host.take_rain(hits_on(surfaces, rng), FINE)
-        host.advance(n * STEP, (n + 1) * STEP, WIND, ROUGHNESS)
-    start = host.held + host.airborne
-    twin = Drips(host, Impacts(FIELD, surfaces, 5), 1e-4, STEP, ROUGHNESS)
-    came = returned = 0.0
-    found = []
-    for n in range(10):
-        hits, page = hits_on(surfaces, rng), (n + 1) % 2
-        times = n * STEP, (n + 1) * STEP
-        came += host.take_rain(hits, FINE)
-        hit = hits.kind == OBSTACLE
-        goes = host.point[hits.row[hit], hits.column[hit]]
-        goes = np.where(goes < 0, len(host._store), goes)
-        water = np.rint(hits.volume[hit] / VOLUME_UNIT).astype(np.int64)
-        coming = twin.came[page].copy_to_host()
-        np.add.at(coming, goes, water)
-        twin.came[page].copy_to_device(coming)
-        rows, columns, volume = host.advance(*times, WIND, ROUGHNESS)
-        returned += volume.sum()
-        depth = np.zeros(surfaces.shape)
-        np.add.at(depth, (rows, columns), volume / surfaces.spacing**2)
-        rings = drip_impacts(*host.falling(), surfaces, *times)
-        rings = rings.take(rings.kind == GROUND)
-        ground = Ground(surfaces, share=0.5)
-        twin.update(*times, WIND, FINE)
-        twin.launch(page, ground, ground, 0)
-        momentum = (
-            ground.pushes.sum() * PUSH_UNIT,
-            tile_impacts(rings, 2.0 / LAYERS, 1.0, times[1])[1].sum(),
-        )
-        found.append((*twin.pages[page].fetch(), ground.depths(surfaces), momentum,
-                      (*volumes(twin.account), *host.falling(), depth, host.held, host.airborne,
-                       returned)))  # fmt: skip
-    return surfaces, found, came, start
+def listed():
+    """Surfaces, the table of drips on them after some steps of rain, and their ids."""
+    surfaces, rng = shelves(), np.random.default_rng(2)
+    drips = Drips(surfaces, seed=3)
+    for n in range(-6, 10):
+        drips.take_rain(hits_on(surfaces, rng), FINE)
+        drips.advance(n * STEP, (n + 1) * STEP, WIND, ROUGHNESS)
+    return surfaces, *drips.falling()
 
 
-def test_what_falls_and_lands_is_that_of_the_cpu(steps):
-    _, found, came, start = steps
-    for table, ids, depth, momentum, rest in found:
-        held, airborne, returned, fine, wanted, wanted_ids, wanted_depth, *asked = rest
-        order = np.argsort(wanted_ids)
-        np.testing.assert_array_equal(ids, wanted_ids[order])
-        np.testing.assert_allclose(table, wanted[order], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(depth, wanted_depth, atol=1e-13)
-        np.testing.assert_allclose((held, airborne, returned), asked, rtol=1e-7, atol=1e-15)
-        assert momentum[0] == pytest.approx(momentum[1], rel=1e-6)
-    assert start + came == pytest.approx(held + airborne + returned, rel=1e-7)
-    assert fine == pytest.approx(10 * FINE * 0.08**2 * 46, rel=1e-6)
-    assert returned > 1e-6 and airborne > 0 and max(m for *_, (m, _), _ in found) > 0
-    assert any((a[2] != b[2]).any() for a, b in pairwise(found))
-
-
-def test_a_list_without_room_is_counted(steps):
-    surfaces = steps[0]
-    twin = Drips(HostDrips(surfaces, seed=3), Impacts(FIELD, surfaces, 5), 1e-4, STEP, ROUGHNESS)
-    twin.pages = [DripList(2), DripList(2)]
-    many = len(twin.came[1].copy_to_host())
-    twin.came[1].copy_to_device(np.full(many, round(1e-6 / VOLUME_UNIT)))
-    ground = Ground(surfaces, share=0.5)
-    twin.update(0.0, STEP, WIND, 0.0)
-    twin.launch(1, ground, ground, 0)
-    assert twin.account[LISTED] > 2
-    with pytest.raises(BackendError, match="set drips to false, or use backend cpu"):
-        twin.check()
-
-
-def test_what_a_recorded_queue_holds_changes_as_the_drips_are_sent():
-    """Not before: the frame before may be recorded once more until then."""
-    rain, marks = RainPass.__new__(RainPass), []
-    rain.splashes = rain.drips = None
-    rain.streaks = SimpleNamespace(version=1, drips=None)
-    for count in (3, 5, 9, 4):
-        state = SimpleNamespace(
-            drips=np.ones((count, 9)), drip_id=np.arange(count, dtype=np.uint64)
-        )
-        rain.send_drips(state)
-        assert rain.streaks.drips is rain.drips and rain.drips.fetch()[1].tolist() == [
-            *range(count)
-        ]
-        marks.append(rain.dependencies())
-    assert marks[0] == marks[1] != marks[2] == marks[3]
-
-
-def test_pictures_are_those_of_the_cpu(steps, poisoned):
-    surfaces, found, *_ = steps
+def test_pictures_are_those_of_the_cpu(listed, poisoned):
     width, height, time, exposure, film = 32, 24, 9 * STEP, 1 / 60, 2e-4
-    table, ids = found[-1][4][4:6]
+    surfaces, table, ids = listed
     matrix = np.diag([1.0, -1.0, -1.0, 1.0])
     matrix[2, 3] = 1.2  # 1.2 m up, looking down
     camera = Camera(width, height, 40.0, 40.0, width / 2, height / 2, matrix)
     depth = np.full((height, width), 1.2, np.float32)
     water = np.full(surfaces.shape, 0.004, np.float32)
-    streaks = Streaks(FIELD, surfaces, width, height, depth)
+    streaks = Streaks(FIELD, surfaces, width, height)
     streaks.update(FIELD, camera, time, exposure, 0.51)  # hardly any rain
-    streaks.drips = DripList(len(ids))
-    streaks.drips.fill(table, ids)
-    streaks.launch()
+    streaks.drips = DripList()
+    for few in (3, len(ids)):  # room is made
+        streaks.drips.fill(table[:few], ids[:few])
+    streaks.draw(depth)
     wanted, without = poisoned((height, width)), poisoned((height, width))
     more = drips_seen(table, time, exposure)
     draw_streaks(FIELD, surfaces, camera, time, exposure, depth, 0.51, wanted, more=more)
@@ -163,10 +75,10 @@ def test_pictures_are_those_of_the_cpu(steps, poisoned):
     assert np.abs(wanted - without).max() > 0.02
     np.testing.assert_allclose(streaks.alpha.copy_to_host(), wanted, atol=1e-5)
 
-    twin = Splashes(streaks, Impacts(FIELD, surfaces, 5), water)  # of drips alone
+    twin = Splashes(streaks, Impacts(FIELD, surfaces, 5))  # of drips alone
     twin.alpha.copy_to_device(poisoned((height, width)))
     twin.update(FIELD, film)
-    twin.launch()
+    twin.draw(water)
     landed = drip_impacts(table, ids, surfaces, time - 0.12, time + exposure)
     few = RainField(RainSpectrum(1e-6), seed=4)
     draw_splashes(few, surfaces, camera, time, exposure, water, film, depth, wanted, more=landed)

@@ -1,12 +1,15 @@
 """The impacts' twin in numba's CUDA simulator; `tests/cuda/test_cuda.py` runs this file."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
 from rainsim.cuda.drops import Impacts, room_for
+from rainsim.cuda.rain.impact_history import RecentImpacts
 from rainsim.cuda.rain.settling import PUSH_UNIT, VOLUME_UNIT, CellLayout, RippleTile
-from rainsim.cuda.water.step_control import UNIT
+from rainsim.cuda.water.flow import UNIT
 from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces, impacts
 from rainsim.water.ripples import SIZE_MOMENTA, SIZES
 
@@ -32,7 +35,7 @@ class Ground:
         ny, nx = surfaces.shape
         self.cells = CellLayout(2 * nx, nx + 7, surfaces.spacing**2)
         self.waiting = np.zeros(2 * nx + ny * self.cells.width, np.int64)
-        self.tile = RippleTile(1.0, 4, cells, np.array([share]))
+        self.tile = RippleTile(1.0, 4, cells, share)
         self.pushes = np.zeros(SIZES * self.tile.steps * cells * cells, np.int64)
 
     def depths(self, surfaces):
@@ -47,15 +50,14 @@ def listed():
     wanted = impacts(field, surfaces, START, STOP, SMALLEST)
     assert len(wanted) > 10 and {GROUND, OBSTACLE} == set(wanted.kind)
     twin = Impacts(field, surfaces, room_for(field, surfaces, STOP - START))
-    twin.update(field, START, STOP, SMALLEST)
-    twin.launch()
+    twin.list(field, START, STOP, SMALLEST)
     return field, surfaces, wanted, twin
 
 
 def test_the_list_is_that_of_the_cpu(listed):
     _, _, wanted, twin = listed
     count = int(twin.lists.found.copy_to_host()[0])
-    assert count == len(wanted) and twin.missing() == 0
+    assert count == len(wanted) and twin.lacking() == 0
     order = np.argsort(twin.lists.ids.copy_to_host()[0, :count])
     values = twin.lists.values.copy_to_host()[0, :count][order]
     labels = twin.lists.labels.copy_to_host()[0, :count][order]
@@ -72,7 +74,7 @@ def test_the_water_goes_where_it_fell(listed):
     ground = Ground(surfaces)
     point, came = np.full(surfaces.shape, -2, np.int32), np.zeros(3, np.int64)
     point[:, :8], point[:, 8:12] = 0, 1
-    twin.settle(ground, ground, 0, (point, came))
+    twin.settle(START, STOP, ground, ground, point, came)
     landed = wanted.take(wanted.kind == GROUND)
     depth = np.zeros(surfaces.shape)
     np.add.at(depth, (landed.row, landed.column), landed.volume / surfaces.spacing**2)
@@ -88,15 +90,36 @@ def test_the_water_goes_where_it_fell(listed):
     assert (asked > 0).sum() > 1
     pushed = ground.pushes.reshape(SIZES, -1).sum(axis=1) * PUSH_UNIT
     np.testing.assert_allclose(pushed, asked, rtol=1e-6)
-    kept = twin.obstacles.copy_to_host()[0]
-    assert kept * VOLUME_UNIT == pytest.approx(hit.volume.sum(), rel=1e-6)
-    twin.settle(ground, ground)
-    assert twin.obstacles.copy_to_host()[0] == 2 * kept and came.sum() == kept  # nothing drips
 
 
-def test_a_short_list_is_counted(listed):
+def test_a_short_list_is_made_longer(listed):
     field, surfaces, wanted, _ = listed
     twin = Impacts(field, surfaces, 5)
-    twin.update(field, START, STOP, SMALLEST)
-    twin.launch()
-    assert twin.missing() == len(wanted) - 5
+    twin.list(field, START, STOP, SMALLEST)
+    assert twin.room >= len(wanted) == twin.lists.found.copy_to_host()[0]
+    assert np.sort(twin.lists.ids.copy_to_host()[0, : len(wanted)]).tolist() == wanted.id.tolist()
+
+
+def test_each_interval_of_the_last_moments_is_listed_once():
+    field, surfaces, listed = RainField(RainSpectrum(40.0), seed=4), roofed(), []
+
+    class Recent(RecentImpacts):
+        def _queue(self, field, start, stop, smallest=0.0, slot=0):
+            listed.append(round(start * 20))
+            super()._queue(field, start, stop, 3e-3, slot)
+
+    recent = Recent(SimpleNamespace(field=lambda start, stop: field), surfaces, 20.0, 1)
+    count = len(recent.lists.found)
+    for frame, lacking in ((9, count), (9, 0), (10, 1), (8, 2), (50, count)):
+        del listed[:]
+        recent.update(frame)
+        assert len(listed) == lacking, frame
+    assert sorted(listed) == list(range(51 - count, 51))
+    recent.forget()
+    recent.update(50)
+    assert sorted(listed[count:]) == sorted(listed[:count])
+    ids = recent.lists.ids.copy_to_host()
+    for number in range(51 - count, 51):
+        wanted = impacts(field, surfaces, number / 20, (number + 1) / 20, 3e-3).id
+        found = ids[number % count, : recent.lists.found.copy_to_host()[number % count]]
+        assert np.sort(found).tolist() == wanted.tolist()

@@ -9,7 +9,7 @@ from rainsim.cuda.shading import wet_ground_mirror as twin
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
 from rainsim.numerics.ripmap import ripmap
 from rainsim.scene.view import View, view_of_arrays
-from rainsim.shading import lamp_images, lamp_search, microfacet, sky, wet_ground_mirror
+from rainsim.shading import lamp_images, microfacet, sky, wet_ground_mirror
 from rainsim.shading.fresnel import SCHLICK
 from rainsim.shading.lamp_images import LampView
 from rainsim.shading.wet_ground_mirror import GroundSlopes, LevelPicture
@@ -79,62 +79,20 @@ def test_field_share_and_picture(pictured, rng, poisoned):
     assert abs(laid - bare).max() > 0.05
 
 
-def test_lamps_are_found_as_on_the_cpu(rng, poisoned):
-    """In a picture with room beside it, sky and other things brighter than lamps among them."""
-    width, height, horizon = 61, 45, 5
-    picture = rng.uniform(0, 2, (56, 72, 3)).astype(F4)
-    depth = rng.uniform(3, 30, picture.shape[:2]).astype(F4)
-    bright = rng.random(depth.shape) < 0.06
-    picture[bright] *= 9
-    depth[20:30, 20:25] = np.inf
-    camera = F4([40, 40, 30, 5]), F4([1, 2, -1.5]), F4([0.6, 0.8])
-    share, many = np.full(1, np.nan), np.zeros(1, np.int32)
-    lamps = poisoned((lamp_search.room_for(*depth.shape), 8))
-    search, size, found = twin_lamps.Search(*depth.shape[::-1]), F4([width, height]), (
-        share, many, lamps)  # fmt: skip
-    search.launch((picture, depth), size, horizon, camera, False, found, 0)
-    drawn, sums = (slice(height), slice(width)), np.empty(3)
-    wanted = np.full_like(lamps, np.nan)
-    seen = (np.ascontiguousarray(each[drawn]) for each in (picture, depth))
-    lamp_search.find_lamps(*seen, horizon, *camera, wanted, sums)
-    count = int(sums[0])
-    assert many[0] == count > 40 and share[0] == pytest.approx(sums[1] / sums[2], rel=1e-12)
-    np.testing.assert_array_equal(lamps[:count], wanted[:count])
-    assert np.isnan(lamps[count:]).all()
-    for is_much in (False, True):  # the finer picture counts where lamps have much of the light
-        share[0] = twin_lamps.WORTH_FINE * (1.01 if is_much else 1)
-        search.launch((0 * picture, depth), size, horizon, camera, True, found, 0)
-        assert many[0] == (0 if is_much else count)
-
-
-def test_lamps_are_dimmed_and_mirrored_as_on_the_cpu(rng):
-    picture = rng.uniform(0, 12, (9, 13, 3)).astype(F4)
-    for many in (0, 2):
-        mine = picture.copy()
-        launch(twin_lamps.dim_lamps, picture.shape[:2], np.array([many], np.int32), mine)
-        wanted = lamp_images.without_lamps(picture) if many else picture
-        np.testing.assert_allclose(mine, wanted, rtol=1e-6)
+def test_lamps_are_mirrored_as_on_the_cpu(rng):
     slopes = np.zeros((20, 24, 4), F4)
     slopes[..., :3], slopes[..., 3] = rng.normal(0, 0.02, (20, 24, 3)), 0.2
     ground = GroundSlopes(slopes, F4([-12, -4]), F4(1.0), SCHLICK)
-    lamps = np.zeros((4, 8), F4)
-    lamps[:3] = rng.uniform((-3, 5, 0.5, 0.1, 0.1, 0.1, 1e-4, 1e-4),
-                            (3, 12, 2, 1, 1, 1, 1e-2, 1e-2), (3, 8))  # fmt: skip
-    lamps[3] = lamps[2]  # room that is not used
+    lamps = rng.uniform((-3, 5, 0.5, 0.1, 0.1, 0.1, 1e-4, 1e-4),
+                        (3, 12, 2, 1, 1, 1, 1e-2, 1e-2), (3, 8)).astype(F4)  # fmt: skip
     depth = rng.uniform(3, 30, (40, 70)).astype(F4)
     lens, forward = np.array([30, 30, 33, 3], F4), F4([0, 1])
     view, camera = View(TURN, EYE, *LENS), view_of_arrays(TURN, EYE, LENS)
     shape = HEIGHT // STEP, WIDTH // STEP
     before = rng.uniform(0, 1, (*shape, 3)).astype(F4)
     wanted, found = before.copy(), before.copy()
-    few, all_of_them = (
-        LampView(lamps[:3], depth[:24, :60], lens, forward),
-        LampView(lamps, depth, lens, forward),
-    )
-    lamp_images.add_lamps(view, STEP, np.ones(shape, bool), ground, few, wanted)
-    launch(
-        twin_lamps.add_lamps, shape, np.array([3], np.int32), camera, STEP, ground, all_of_them,
-        F4([60, 24]), found,
-    )  # fmt: skip
+    exact, larger = (LampView(lamps, d, lens, forward) for d in (depth[:24, :60], depth))
+    lamp_images.add_lamps(view, STEP, np.ones(shape, bool), ground, exact, wanted)
+    launch(twin_lamps.add_lamps, shape, camera, STEP, ground, larger, F4([60, 24]), found)
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=1e-5)
     assert (wanted - before).max() > 1e-3

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
 from rainsim.cuda import simulation as cuda_simulation
 from rainsim.cuda.render import renderer as twin
-from rainsim.cuda.shading.lamp_images import Lamps
+from rainsim.cuda.shading import wet_ground_mirror
 from rainsim.daylight import kept_light
 from rainsim.daylight.relight import Relight
 from rainsim.errors import ParameterError
@@ -64,16 +65,16 @@ def test_frames_are_those_of_the_cpu(reflections, least):
     states = [state for state, _ in zip(simulate(terrain, settings), range(2), strict=False)]
     wanted = drawn(rendering.Renderer(scene, terrain, settings, camera), scene, camera, states)
     renderer = twin.Renderer(scene, terrain, settings, camera)
-    rasterizer, launches = renderer.frame.rasterizer, []
-    launch = rasterizer.launch
-    rasterizer.launch = lambda: launches.append(launch())
+    splat, launches = renderer.passes.work["splat"], []
+    renderer.passes.work["splat"] = lambda *given: launches.append(1) or splat(*given)
     found = drawn(renderer, scene, camera, states)
     count = len(launches)
     for a, b in zip(found, wanted, strict=True):
         assert decibel(a, b) > least
     assert (wanted[0] != wanted[1]).any()
     # Of the ground's water, and of what lies level above it.
-    assert len(renderer.frame.passes.mirrors._passes) == (2 if reflections == "auto" else 0)
+    reach = renderer.conductor.frame["mirrors"].range.copy_to_host()
+    assert (reach[:, 1] < reach[:, 2]).sum() == (2 if reflections == "auto" else 0)
     again = renderer.draw(camera, states[0])[0]
     np.testing.assert_array_equal(again, found[0])
     assert len(launches) == count > 0  # a still camera's picture is kept
@@ -128,19 +129,6 @@ def test_frames_show_other_times_of_the_rain_than_their_own(small_tile):
     np.testing.assert_array_equal(picture, shown["cuda"][2][0])
 
 
-def test_a_state_stays_until_the_frame_that_shows_it_is_finished(small_tile):
-    settings = config(level=0.06, frames=9, extent=0.5, scheme="lean", rate=0.0)
-    run = cuda_simulation.Simulation(extract_terrain(tiny_scene(), settings), settings)
-    first, run.is_shown = run.advance(), True
-    depth = first.depth
-    states = [run.advance() for _ in range(4)]
-    assert run.follows(1) and not run.follows(2)
-    shown = states[3].shown_by(9)
-    assert (shown.index, shown.step, states[3].index) == (9, 4, 4)
-    run.is_shown = False
-    assert shown.depth is depth and run.follows(5)  # the fifth state overwrites the first
-
-
 def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
     """Chosen with the first frame, said once, and kept."""
     scene = tiny_scene()
@@ -156,7 +144,7 @@ def test_film_gets_a_mirrored_picture_where_it_is_worth_one():
             pictures.append(picture.copy())
             notes.append([note for note in report.notes if note.startswith("film")])
     assert notes[0] == notes[2] and "a mirrored picture" in notes[2][0] and notes[3] == []
-    assert len(renderer.frame.passes.ground_light.rasterizers) == 1
+    assert renderer.conductor.ground.film.drawn
     assert decibel(pictures[2], pictures[0]) > 50
     np.testing.assert_array_equal(pictures[2], pictures[3])
     plain = config(reflections="auto", film="environment", rate=0.0)
@@ -178,20 +166,21 @@ def test_lamps_on_wet_ground_are_those_of_the_cpu(monkeypatch):
     renderer = twin.Renderer(scene, terrain, settings, camera)
     found = renderer.draw(camera, state)[0].copy()
     assert decibel(found, wanted) > 50
-    assert int(renderer.frame.passes.ground_light.level.lamps._many[0]) > 0
+    assert len(renderer.passes._film._level.lamps) > 0
     clear = rendering.Renderer(scene, terrain, settings.replace(glare="off"), camera)
     assert decibel(clear.draw(camera, state)[0], wanted) < decibel(found, wanted) - 6
-    monkeypatch.setattr(Lamps, "add", lambda *_: None)
+    monkeypatch.setattr(wet_ground_mirror, "add_lamps", defaultdict(lambda: lambda *_: None))
     without = twin.Renderer(scene, terrain, settings, camera).draw(camera, state)[0]
     assert decibel(without, wanted) < decibel(found, wanted) - 6
     plain = twin.Renderer(dark, terrain, settings, camera)
-    assert plain.frame.passes.ground_light.level.lamps is None
+    plain.draw(camera, state)
+    assert plain.passes._film._level.lamps is None
 
 
 def test_colors_follow_clouds_that_come_and_go(monkeypatch, tmp_path):
     """A captured sun that is divided out frame by frame, and the layer of the capture itself."""
 
-    def relight(scene, _found, sun, _kept):
+    def relight(scene, *_):
         gain = np.linspace(0.4, 3, 3 * len(scene.splats)).reshape(-1, 3).astype(np.float16)
         return Relight(gain, "made for a test")
 

@@ -37,7 +37,7 @@ def test_two_frames_are_those_of_the_cpu(parts):
             duration, np.concatenate([position] * parts * SIZES), pushes.ravel(),
             np.tile(np.repeat(age, N * N), SIZES),
         )  # fmt: skip
-        twin.launch()
+        twin.advance()
         slopes = tile.slopes()
         scale = np.abs(slopes).max()
         assert np.abs(before - slopes).max() > 0.1 * scale > 0

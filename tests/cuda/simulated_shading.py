@@ -93,22 +93,14 @@ def test_halos_of_lamps(view, poisoned):
     """Lamps of several colours, and sizes of lens one after the other."""
     picture = (0.3 * view.color).astype(F4)
     picture[3, 4], picture[3, 29], picture[17, 11:13] = (90, 9, 0), (4, 70, 30), (8, 8, 50)
-    frame = type("Frame", (dict,), {})(
-        shown=cuda.to_device(picture), dazzling=cuda.to_device(poisoned((HEIGHT, WIDTH, 3)))
-    )
-    frame.size, frame.pending = (HEIGHT, WIDTH), []
-    frame.uniforms = {"brightness": cuda.to_device(F4([0.7]))}
-    twin = cuda_glare.Glare(frame)
-    twin.room_for(HEIGHT, WIDTH)
+    shown, brightness = cuda.to_device(picture), cuda.to_device(F4([0.7]))
+    twin = cuda_glare.Glare()
     for focal in (26.0, 60.0):
-        twin.update(focal)
-        frame.pending.pop()()
-        twin.add(0)
+        found = twin.added(shown, brightness, focal)
         wanted = glare.Glare().added(picture, focal, 0.7)
         assert np.abs(wanted - picture).max() > 0.01
-        np.testing.assert_allclose(frame["dazzling"].copy_to_host(), wanted, rtol=1e-5, atol=1e-6)
-    twin.update(focal)
-    assert not frame.pending
+        np.testing.assert_allclose(found.copy_to_host(), wanted, rtol=1e-5, atol=1e-6)
+        found.copy_to_device(poisoned((HEIGHT, WIDTH, 3)))
 
 
 def test_grade_and_wet(view, poisoned):
@@ -187,8 +179,8 @@ def pond(view):
 def test_water_surface(view, pond):
     depth, relief, mirrors, (surface, over, highest) = pond
     reach = block_reach(8 * SPACING, *ring_reach(5e-3))
-    twin = cuda_surface.WaterSurface(view.bed, relief, mirrors, depth, reach, cuda.stream())
-    twin.launch()
+    twin = cuda_surface.WaterSurface(view.bed, relief, mirrors, reach)
+    twin.draw(depth)
     shores = puddle_rings(depth, mirrors, reach)
     np.testing.assert_allclose(twin.shores.copy_to_host(), shores, rtol=1e-5)
     assert shores.min() < 0.8 * shores.max()
@@ -199,8 +191,7 @@ def test_water_surface(view, pond):
     assert (np.abs(found - surface)[near] < 2e-7).mean() > 0.995
     assert (np.abs(found - surface) < 1e-6).mean() > 0.95
     assert twin.highest.copy_to_host()[0] == pytest.approx(highest, abs=1e-6)
-    twin.depth[...] = 0
-    twin.launch()
+    twin.draw(np.zeros_like(depth))
     assert twin.highest.copy_to_host()[0] == cuda_surface.NO_HEIGHT
     assert (twin.over.copy_to_host() == 0).all()
 
@@ -251,7 +242,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
     mirror_depth = rng.uniform(2, 5, (HEIGHT, WIDTH)).astype(F4)
     window = F4([*view.lens, WIDTH, HEIGHT])
     coarse, coarse2 = mipmap.coarsened(mirror), poisoned(mipmap.coarse_shape(HEIGHT, WIDTH))
-    cuda_mirror.coarsen[(1, 1), cuda_mirror.THREADS](window, mirror, coarse2)
+    cuda_mirror.coarsen[(1, 1), cuda_mirror.THREADS](window[4:], mirror, coarse2)
     for level in range(1, 5):  # the picture has no more
         top = mipmap.top_of(HEIGHT, level)
         part = slice(top, top + (HEIGHT >> level)), slice(0, WIDTH >> level)
@@ -313,31 +304,25 @@ def test_signatures_are_those_of_the_cpu():
         assert [n for n in ours if n not in without] == [n for n in theirs if n not in without]
 
 
-class DeviceNames(dict):
-    """Buffers by name, with a stream, as a `DeviceFrame` has them."""
-
-    stream = 0
-
-
 def test_light_of_drops_is_the_cpus(monkeypatch):
     monkeypatch.setattr(cuda_drops, "_SUMMERS", 6)  # each adds up several of a cell's 16 pixels
     rng = np.random.default_rng(8)
     around = rng.uniform(0, 2, (32, 64, 3)).astype(np.float32)
     mean = drop_radiance.mean_radiance(around)
     turn = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)
-    lens, size = np.array([90, 100, 60, 40], np.float32), np.array([120, 80], np.float32)
+    lens = np.array([90, 100, 60, 40], np.float32)
     picture = rng.uniform(0, 2, (80, 120, 3)).astype(np.float32)
     depth = rng.uniform(1, 20, (80, 120)).astype(np.float32)
     depth[:10] = np.inf
     wanted = np.stack(drop_radiance.falling_light(around, mean, turn, lens, picture, depth))
     assert wanted.std() > 0.01 and np.abs(wanted[0] - wanted[1]).max() > 0.01
-    uniforms = {"around": mean, "turn": turn, "lens": lens, "size": size}
-    buffers = {"gloss": around, "picture": picture, "depth": depth}
-    frame = DeviceNames({name: cuda.to_device(value) for name, value in buffers.items()})
-    frame.uniforms = {name: cuda.to_device(value) for name, value in uniforms.items()}
-    drops = cuda_drops.DropLight(frame)
+    tables = type("Tables", (dict,), {})(gloss=cuda.to_device(around), around=cuda.to_device(mean))
+    tables.camera = shading.DeviceView()
+    tables.camera.take(View(turn, np.zeros(3, F4), *lens), picture.shape[:2])
+    tables.view = tables.camera.view
+    drops = cuda_drops.DropLight()
     for field in (drops.drops, drops.sheets):
         field.copy_to_device(np.full(wanted[0].shape, np.nan, np.float32))
-    drops.launch()
-    found = drops.drops.copy_to_host(), drops.sheets.copy_to_host()
+    found = drops.find(cuda.to_device(picture), cuda.to_device(depth), tables)
+    found = tuple(field.copy_to_host() for field in found)
     np.testing.assert_allclose(found, wanted, rtol=1e-5)

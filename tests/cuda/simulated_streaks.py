@@ -47,17 +47,17 @@ def test_a_picture_is_that_of_the_cpu(poisoned, monkeypatch, room):
     wanted = poisoned((HEIGHT, WIDTH))
     options = {"camera_end": later, "aperture": 0.002, "focus": 2.0}
     draw_streaks(field, surfaces, camera, 3.0, 1 / 1000, depth, 1.3, wanted, **options)
-    twin = Streaks(field, surfaces, WIDTH, HEIGHT, depth)
+    twin = Streaks(field, surfaces, WIDTH, HEIGHT)
     twin.update(field, camera, 3.0, 1 / 1000, 1.3, **options)
     assert (twin.room == streaks.ROOM) == (room is None)
     for _ in range(2):  # the second time over what the first left behind
         twin.alpha.copy_to_device(poisoned((HEIGHT, WIDTH)))
-        twin.launch()
+        twin.draw(depth)
         found = twin.alpha.copy_to_host()
         assert wanted.max() > 0.1 and (wanted > 0).sum() > 60
         np.testing.assert_allclose(found, wanted, atol=2e-5)
     twin.update(field, camera, 3.1, 1 / 1000, 1.3)
-    twin.launch()
+    twin.draw(depth)
     assert np.abs(twin.alpha.copy_to_host() - wanted).max() > 0.1
 
 
@@ -77,21 +77,21 @@ def test_spray_is_that_of_the_cpu(poisoned):
     before = wanted.copy()
     lay_clouds(puffs, camera, depth, wanted)
     assert (wanted > before + 0.01).mean() > 0.2
-    twin = Streaks(none, roofed(), WIDTH, HEIGHT, depth)
+    twin = Streaks(none, roofed(), WIDTH, HEIGHT)
     twin.spray = spray.Spray()
     twin.update(none, camera, time, exposure, NEAR)
     for _ in range(2):
         twin.spray.send(drops, puffs, camera)
-        twin.launch()
+        twin.draw(depth)
         np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=2e-4)
     twin.spray.send(drops[:0], Puffs(*(part[:0] for part in puffs)), camera)
-    twin.launch()
+    twin.draw(depth)
     assert (twin.alpha.copy_to_host() == 0).all()
 
 
 def test_more_drops_than_any_device_should_list_are_refused(monkeypatch):
     monkeypatch.setattr(streaks, "MOST_ROOM", 16)
     field = RainField(RainSpectrum(200.0), (1.0, 2.0), seed=4)
-    twin = Streaks(field, roofed(), WIDTH, HEIGHT, np.ones((HEIGHT, WIDTH), np.float32))
+    twin = Streaks(field, roofed(), WIDTH, HEIGHT)
     with pytest.raises(ParameterError, match="streak_far"):
         twin.update(field, looking_ahead((0.0, 0.0, 0.0)), 3.0, 1 / 1000, 1.3)

@@ -9,7 +9,7 @@ the CPU draws and garbage is collected. Each draws a sequence, and later frames 
 simulation one by one.
 
 `--case NAME` is what a fresh process runs; `--each` draws each case once in this process, for
-compute-sanitizer (its initcheck with `--cleared`); `--tiny` is for numba's simulator.
+compute-sanitizer; `--tiny` is for numba's simulator.
 """
 
 import argparse
@@ -177,29 +177,6 @@ def soak(names, count, seed, tiny):
     return wrong
 
 
-def clear_lists():
-    """Clear the lists to sort when they are made.
-
-    The sort moves the values behind the last entry, which nobody reads or writes: initcheck would
-    report nothing else.
-    """
-    from numba.cuda.cudadrv.driver import device_memset
-
-    from rainsim.cuda.raster import Workspace
-
-    make = Workspace.lists
-
-    def cleared(self, count):
-        version = self.version
-        lists = make(self, count)
-        if self.version != version:
-            for array in self._arrays["lists"]:
-                device_memset(array, 0, array.nbytes)
-        return lists
-
-    Workspace.lists = cleared
-
-
 def main():
     """Run what the command line asks for; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -210,7 +187,6 @@ def main():
     parser.add_argument("--each", action="store_true")
     parser.add_argument("--tiny", action="store_true")
     parser.add_argument("--spoil", action="store_true", help="fresh memory in the simulator")
-    parser.add_argument("--cleared", action="store_true", help="lists to sort, for initcheck")
     chosen = parser.parse_args()
     if (why := trouble()) is not None:
         sys.exit(why)
@@ -220,8 +196,6 @@ def main():
         WetScene._surroundings = lambda self, position: self.sky.day
     if SIMULATED and chosen.spoil:
         spoil_simulated()
-    if chosen.cleared:
-        clear_lists()
     names = chosen.cases.split(",") if chosen.cases else list(CASES)
     if chosen.case:
         print(json.dumps(drawn(chosen.case, chosen.tiny)))

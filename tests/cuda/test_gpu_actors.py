@@ -107,6 +107,7 @@ def test_a_film_of_actors_is_its_frames_and_sends_the_static_set_once(
     alone = on_gpu(scene, terrain, CONFIG, camera)
     wanted = [alone.draw(*shot)[0].copy() for shot in shots]
     renderer, sent = on_gpu(scene, terrain, CONFIG, camera), []
+    renderer.draw(*shots[0])  # which sends the static sets
     send = DeviceSplats._send_harmonics
     monkeypatch.setattr(
         DeviceSplats, "_send_harmonics",

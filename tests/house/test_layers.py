@@ -142,7 +142,7 @@ def test_only_jit_imports_numba():
     assert COMPILERS <= users
     names = ("callees", "checked_files", "kernel_cache", "signatures", "watching")
     kernels_on_disk = {f"compiling/{n}.py" for n in names}
-    gpu = {f"cuda/{n}.py" for n in ("__init__", "kernel_cache", "scalars", "warp")}
+    gpu = {f"cuda/{n}.py" for n in ("__init__", "kernel_cache", "launch", "scalars", "warp")}
     assert users <= COMPILERS | kernels_on_disk | gpu
 
 

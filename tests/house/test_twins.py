@@ -4,27 +4,19 @@ from source import PACKAGE, arguments_of, functions_in, is_compiled
 
 # Files that only the device needs, each with its reason.
 CUDA_ONLY = {
-    "driver.py",  # events of streams, without numba's wrappers
-    "frame_uniforms.py",  # numbers of a frame that a recorded queue reads
-    "graph.py",  # recorded queues
+    "driver.py",  # copies between host and device
+    "frame_uniforms.py",  # numbers of a frame, sent in one copy
+    "launch.py",  # launches by the driver
     "moving_map.py",  # windows of a map that are sent
     "kernel_cache.py",  # machine code on disk, by numba-cuda's classes
     "rain/impact_history.py",  # hits of the last frames, which the CPU computes again
     "rain/drip_list.py",  # drips in the air, which the CPU keeps in one array
     "rain/settling.py",  # lists of drops that ended, and where their water goes
-    "render/device_frame.py",  # arrays of a frame that stay on the device
-    "render/frame_queue.py",  # launches of a frame, recorded
-    "render/lanes.py",  # streams, and which of them waits for which
+    "render/device_tables.py",  # maps and numbers that the passes read
     "splatting/sort.py",  # the sort of all tiles' entries at once
     "scalars.py",  # sums and lists over a grid of threads
-    "small_copies.py",  # numbers between the host's pinned memory and the device
-    "solver.py",  # the water alone, for which the CPU has `rainsim/grid.py` itself
-    "timing.py",  # events
     "warp.py",  # instructions of a warp
-    "water/account.py",  # the ledger and times, which are numbers of the solver on the CPU
-    "water/cells.py",  # cells of the water for the host, which has them on the CPU
-    "water/flow.py",  # the whole step of the water in one launch
-    "water/step_control.py",  # the length of a step, chosen on the device
+    "water/flow.py",  # the step of the water in one launch, for which the CPU has two files
 }
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.splatting import project
 from rainsim.cuda.splatting.merged import clean
@@ -24,7 +23,6 @@ class DeviceRoom(DeviceSplats):
     prepared : rainsim.raster.PreparedSplats. All places of a `ChunkRoom`, see
         `take`.
     sent : int. Bytes of chunks that were sent so far.
-    version : int. Changes when the arrays are replaced by larger ones.
     """
 
     def __init__(self, prepared):
@@ -36,10 +34,7 @@ class DeviceRoom(DeviceSplats):
         self.take(prepared)
 
     def take(self, prepared):
-        """Take over the places of a room, larger ones if it has grown; nothing is sent yet.
-
-        The device must draw nothing meanwhile.
-        """
+        """Take over the places of a room, larger ones if it has grown; nothing is sent yet."""
         self.compensate, self._order = prepared.compensate, lambda: prepared.order
         if self._places is None or prepared.geometry is not self._places.geometry:
             self._grow(prepared)
@@ -54,7 +49,6 @@ class DeviceRoom(DeviceSplats):
             )
         count = 3 * (prepared.degree + 1) ** 2
         self.bands, self.groups = int(np.sqrt(count // 3)), -(-count // 8)
-        self.version = new_version()
         for name, row, kind in (
             ("geometry", ROW, np.float32), ("sh", self._row, np.float16), ("box", 6, np.float32),
         ):  # fmt: skip
@@ -87,7 +81,7 @@ class DeviceRoom(DeviceSplats):
         self.centre, self.reach = reach_of(box)
 
     def send(self, chunks):
-        """Send those of some chunks that are not there; the device must draw nothing meanwhile."""
+        """Send those of some chunks that are not there."""
         written = self._places.written
         stale = np.unique(chunks[self._there[chunks] != written[chunks]])
         breaks = np.flatnonzero(np.diff(stale) != 1) + 1

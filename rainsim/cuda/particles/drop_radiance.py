@@ -28,29 +28,25 @@ _SUMMERS = 64  # threads that add up the pixels of a cell
 class DropLight:
     """The light of drops over a picture.
 
-    frame : DeviceFrame
     drops, sheets : float32 device array (9, 13, 3). See
         `rainsim.particles.drop_radiance.falling_light`.
     """
 
-    def __init__(self, frame):
-        self._frame = frame
+    def __init__(self):
         self.drops, self.sheets = (cuda.device_array((*GRID, 3), np.float32) for _ in range(2))
         self._behind = Behind(
             cuda.device_array((*CELLS, 3), np.float32), cuda.device_array(CELLS, np.float32)
         )
 
-    def launch(self, stream=None):
-        """Queue the field of the present camera, on another stream than the frame's if given."""
-        frame = self._frame
-        now, stream = frame.uniforms, frame.stream if stream is None else stream
-        coarsen[CELLS[0] * CELLS[1], _SUMMERS, stream](
-            frame["picture"], frame["depth"], *self._behind
-        )
-        fill_field[GRID[0] * GRID[1], _RAYS, stream](
-            frame["gloss"], self._behind, now["around"], now["turn"], now["lens"], now["size"],
-            self.drops, self.sheets,
+    def find(self, picture, depth, tables):
+        """Queue the field over a picture and its depth; return it as drops and sheets."""
+        view, camera = tables.view, tables.camera
+        coarsen[CELLS[0] * CELLS[1], _SUMMERS](picture, depth, *self._behind)
+        fill_field[GRID[0] * GRID[1], _RAYS](
+            tables["gloss"], self._behind, tables["around"], view.ground_from_camera, camera.lens,
+            camera.size, self.drops, self.sheets,
         )  # fmt: skip
+        return self.drops, self.sheets
 
 
 @cuda_kernel

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.cuda.driver import fetch
+from rainsim.cuda.driver import Counted
 from rainsim.cuda.drops import (
     BLOCKS,
     CLASS,
@@ -23,7 +23,6 @@ from rainsim.cuda.drops import (
     Z,
 )
 from rainsim.cuda.frame_uniforms import FrameUniforms
-from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.streaks import view_of
 from rainsim.cuda.warp import GROUP, GROUPS, THREADS, claim_row
@@ -89,7 +88,7 @@ def focal_of(lens):
 
 @cuda_kernel
 def list_splashes(
-    lists, per_list, velocity, sent, scene, water, least, closed, count_out, lines_out
+    lists, per_list, velocity, sent, scene, water, least, count_out, lines_out
 ):  # fmt: skip
     """List the droplets, crowns and jets of listed impacts that splash in view.
 
@@ -100,8 +99,6 @@ def list_splashes(
     scene : SceneDepth. For the size of the picture.
     water : WaterDepth. Its film a device array of shape (1,), float64 [m].
     least : int32 device array (1,). The smallest class of drops that may splash.
-    closed : int32 device array (1,). A list that is not looked at: the next
-        frame's step may be filling it meanwhile.
     count_out : int32 device array (1,). Raised by the number of lines, also of
         those for which there is no room.
     lines_out : float64 device array (room, 7). The columns of
@@ -115,7 +112,7 @@ def list_splashes(
     group = cuda.threadIdx.y
     thread = group * GROUP + cuda.threadIdx.x
     which, block = cuda.blockIdx.x // per_list, cuda.blockIdx.x % per_list
-    listed = 0 if which == closed[0] else min(lists.found[which], lists.ids.shape[1])
+    listed = min(lists.found[which], lists.ids.shape[1])
     for begin in range(block * THREADS, listed, per_list * THREADS):
         if thread == 0:
             many[0] = 0
@@ -169,69 +166,51 @@ def draw_list(count, lines, sent, scene, picture):
 class Splashes:
     """The splashes of a rain in a picture, drawn on a CUDA device.
 
-    streaks : cuda.particles.streaks.Streaks. Of the same picture; its depth,
-        camera and times are used, so it is updated and launched before.
+    streaks : cuda.particles.streaks.Streaks. Of the same picture; its camera,
+        times and what it has read of the depth are used, so it is drawn before.
     recent : cuda.rain.impact_history.RecentImpacts. What falls until the
         exposure's end.
-    water_depth : float32 device array (ny, nx) [m]. Read by `launch`.
     alpha : float32 device array (height, width). Share of light that splashes
         replace.
-    count : int32 device array (1,). Lines, also those for which there was no
-        room.
+    lines : float64 device array (room, 7). See `list_splashes`.
     """
 
-    def __init__(self, streaks, recent, water_depth):
-        self._streaks, self._recent, self.depth = streaks, recent, water_depth
-        self.stream = stream = streaks.stream
-        self.now = FrameUniforms(stream, {
+    def __init__(self, streaks, recent):
+        self._streaks, self._recent = streaks, recent
+        self._now = FrameUniforms({
             "film": ((1,), np.float64), "least": ((1,), np.int32), "count": ((1,), np.int32),
-            "closed": ((1,), np.int32),
         })  # fmt: skip
-        self.count = self.now["count"]  # blanked by each `send`
-        self.make_room(ROOM)
-        self.alpha = cuda.device_array(streaks.alpha.shape, np.float32, stream=stream)
+        self.lines = cuda.device_array((ROOM, 7), np.float64)
+        self._count = Counted(1, np.int32)
+        self.alpha = cuda.device_array(streaks.alpha.shape, np.float32)
 
-    def make_room(self, room):
-        """Allocate room for so many lines of splashes in view."""
-        self.lines = cuda.device_array((room, 7), np.float64, stream=self.stream)
-        self.version = new_version()
-
-    def update(self, field, film, closed=-1):
-        """Set rain and water of the next picture; arguments as `draw_splashes` has them.
-
-        `closed` is the number of a list that is left out, see `list_splashes`.
-        """
+    def update(self, field, film):
+        """Set rain and water of the next picture; arguments as `draw_splashes` has them."""
         smallest = SMALLEST_ON_FILM if film > WET_DEPTH else SMALLEST_SPLASH
         least = np.searchsorted(field.spectrum.edges[1:], smallest, side="right")
-        self.now.update(film=film, least=least, closed=closed)
+        self._now.update(film=film, least=least)
 
-    def launch(self):
-        """Queue the listing and the drawing of the splashes, after the streaks' picture."""
-        self.gather(self.stream)
-        self.draw(self.stream)
+    def draw(self, water):
+        """Queue the picture, over water of a depth, float32 device array (ny, nx) [m]; waits."""
+        while (count := self._list(water)) > len(self.lines):
+            self.lines = None  # freed before more is asked for
+            self.lines = cuda.device_array((2 * count, 7), np.float64)
+        seen = self._streaks
+        draw_list[BLOCKS, GROUPS](
+            self._now["count"], self.lines, seen.view, seen.scene, seen.picture
+        )
+        seen.resolve(self.alpha)
 
-    def gather(self, stream):
-        """Queue the listing of the splashes in view."""
-        self.now.send(stream)
+    def _list(self, water):
+        """Queue the listing of the splashes in view; return how many lines they have."""
+        self._now.send()  # which blanks the count
         recent, view, scene = self._recent, self._streaks.view, self._streaks.scene
-        water = WaterDepth(self.depth, self.now["film"])
+        water, count = WaterDepth(water, self._now["film"]), self._now["count"]
         per_list = 2 if SIMULATED else -(-recent.room // THREADS)
-        list_splashes[per_list * len(recent.lists.found), GROUPS, stream](
+        list_splashes[per_list * len(recent.lists.found), GROUPS](
             recent.lists, per_list, self._streaks.now["velocity"], view, scene, water,
-            self.now["least"], self.now["closed"], self.count, self.lines,
+            self._now["least"], count, self.lines,
         )  # fmt: skip
         if (drips := self._streaks.drips) is not None:
-            drips.gather(recent.surfaces, view, scene, water, self.count, self.lines, stream=stream)
-
-    def draw(self, stream):
-        """Queue the drawing of the listed splashes, after the streaks' picture."""
-        seen = self._streaks
-        draw_list[BLOCKS, GROUPS, stream](
-            self.count, self.lines, seen.view, seen.scene, seen.picture
-        )
-        seen.resolve(self.alpha, stream)
-
-    def missing(self):
-        """Return how many lines there was no room for; waits for them."""
-        lines = int(fetch(self.count, self.stream)[0]) - len(self.lines)
-        return max(lines, 0)
+            drips.gather(recent.surfaces, view, scene, water, count, self.lines)
+        return int(self._count.read(count)[0])

@@ -48,34 +48,33 @@ def lay_clouds(many, clouds, boxes, lens, depth, alpha_out):
 
 
 class Spray:
-    """The spray of one frame after another, sent on a stream."""
+    """The spray of one frame after another."""
 
-    def __init__(self, stream=0):
-        self._stream, self._staging = stream, Staging(stream)
-        self._count = FrameUniforms(stream, {"drops": ((1,), np.int32), "clouds": ((1,), np.int32)})
+    def __init__(self):
+        self._staging = Staging()
+        self._count = FrameUniforms({"drops": ((1,), np.int32), "clouds": ((1,), np.int32)})
         self._drops = cuda.device_array((MOST_DRAWN, 7), np.float64)
         self._clouds = cuda.device_array((MOST_CLOUDS, 5), np.float32)
         self._boxes = cuda.device_array((MOST_CLOUDS, 4), np.int32)
 
     def send(self, drops, puffs, camera):
-        """Send what `spray_seen` returns; the device must draw nothing meanwhile."""
+        """Send what `spray_seen` returns."""
         clouds, boxes = cloud_table(puffs, camera)
         for there, values in (
             (self._drops, drops), (self._clouds, clouds), (self._boxes, boxes),
         ):  # fmt: skip
             if len(values):
-                self._staging.send(there[: len(values)], values)
+                self._staging.send(there, values)
         self._count.update(drops=len(drops), clouds=len(clouds))
         self._count.send()
 
-    def draw(self, view, scene, picture, stream):
+    def draw(self, view, scene, picture):
         """Queue the drawing of drops into the streaks' picture."""
-        count = self._count["drops"]
-        draw_list[BLOCKS, GROUPS, stream](count, self._drops, view, scene, picture)
+        draw_list[BLOCKS, GROUPS](self._count["drops"], self._drops, view, scene, picture)
 
-    def lay(self, lens, depth, alpha_out, stream):
+    def lay(self, lens, depth, alpha_out):
         """Queue the clouds before the streaks' picture."""
         height, width = alpha_out.shape
         blocks = -(-width // BLOCK[0]), -(-height // BLOCK[1])
         many = self._count["clouds"]
-        lay_clouds[blocks, BLOCK, stream](many, self._clouds, self._boxes, lens, depth, alpha_out)
+        lay_clouds[blocks, BLOCK](many, self._clouds, self._boxes, lens, depth, alpha_out)

@@ -13,10 +13,8 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, TWO, ZERO
-from rainsim.cuda.driver import to_device
 from rainsim.cuda.drops import BLOCKS, arrays_of, class_of, sent_surfaces
 from rainsim.cuda.frame_uniforms import FrameUniforms
-from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.line_raster import TILE, read_depth, resolve
 from rainsim.cuda.warp import GROUP, GROUPS, THREADS, WHOLE, ballot, claim_row
@@ -45,7 +43,7 @@ from rainsim.particles.shutter_view import (
     step_from,
 )
 from rainsim.particles.streaks import CLEAR, HIDDEN, drop_offset, may_show
-from rainsim.rain.heightfield import first_hit
+from rainsim.rain.heightfield import HeightFields, first_hit
 from rainsim.rain.poisson_cells import (
     Cube,
     DropField,
@@ -265,23 +263,22 @@ class Streaks:
     """The streaks of a rain in a picture, drawn on a CUDA device; twin of `streaks.draw_streaks`.
 
     field : RainField. Of the weather; `update` takes those of other times.
+    surfaces : Surfaces or HeightFields. The latter of device arrays.
     width, height : int [px]
-    depth : float32 device array (height, width) [m]. Read by `launch`.
-    stream : cuda.stream
     alpha : float32 device array (height, width). Share of light that drops
         replace.
     room : int. Drops in view that the lists have room for.
-    version : int. Of the lists, see `cuda.graph.new_version`.
     view : ShutterView
     scene : SceneDepth. Both of device arrays, as the drawing kernels read them.
-    drips : cuda.rain.dripping.DripList or None. Drips that are drawn too.
+    drips : cuda.rain.drip_list.DripList or None. Drips that are drawn too.
     spray : cuda.particles.spray.Spray or None. What tyres throw, drawn too.
     surfaces : HeightFields. Of device arrays.
     """
 
-    def __init__(self, field, surfaces, width, height, depth, stream=0):
-        self.stream, self._depth, self._listed = stream, depth, None
-        self.surfaces = sent_surfaces(surfaces, stream)
+    def __init__(self, field, surfaces, width, height):
+        self._listed = None
+        is_there = isinstance(surfaces, HeightFields)
+        self.surfaces = surfaces if is_there else sent_surfaces(surfaces)
         f4, f8, i8 = np.float32, np.float64, np.int64
         names = {
             "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
@@ -291,19 +288,18 @@ class Streaks:
             "planes": ((4, 3), f4), "far": ((CLASSES,), f4), "slack": ((CLASSES,), f8),
             "sought": ((1,), np.int32), "many": ((1,), np.int32),
         }  # fmt: skip
-        self.now = FrameUniforms(stream, names | arrays_of(field))
+        self.now = FrameUniforms(names | arrays_of(field))
         tiles = 2, -(-height // DEPTH_TILE), -(-width // DEPTH_TILE)
-        self.alpha = cuda.device_array((height, width), np.float32, stream=stream)
+        self.alpha = cuda.device_array((height, width), np.float32)
         self._make_room(ROOM)
-        self._large = cuda.device_array(MANY, np.int32, stream=stream)
-        self.picture = to_device(np.zeros(width * height, np.int64), stream)
+        self._large = cuda.device_array(MANY, np.int32)
+        self.picture = cuda.to_device(np.zeros(width * height, np.int64))
         self.view, self._air, self._field = (
             kind(*(self.now[name] for name in kind._fields))
             for kind in (ShutterView, SeenAir, DropField)
         )
-        columns = cuda.device_array(width * height, np.float32, stream=stream)
-        tile_depth = cuda.device_array(tiles, np.float32, stream=stream)
-        self.scene = SceneDepth(width, height, columns, tile_depth)
+        columns = cuda.device_array(width * height, np.float32)
+        self.scene = SceneDepth(width, height, columns, cuda.device_array(tiles, np.float32))
         self.drips = self.spray = None
 
     def update(
@@ -325,55 +321,46 @@ class Streaks:
                 f"{drops:.3g} drops may be in view; on a CUDA device they must be fewer than "
                 f'{MOST_ROOM}; let drawn drops end nearer (streak_far) or use backend "cpu"'
             )
-        while self.room < wanted:
-            self._make_room(2 * self.room)
+        if self.room < wanted:
+            self._make_room(int(2 * wanted))
         self.now.host["counts"][1:] = cubes.cumsum()
         self.now.update(**view._asdict(), **air._asdict())
 
     def _make_room(self, drops):
-        """Allocate the lists of drops in view; launches recorded with the old ones are stale."""
-        self.room, stream = drops, self.stream
+        """Allocate the lists of drops in view."""
+        self.room = drops
         self._sought = (
             self.now["sought"],  # blanked by each `send`, as "many" is
-            cuda.device_array((drops, 4), np.int32, stream=stream),
-            cuda.device_array(drops, np.uint64, stream=stream),
-        )
-        self._paths = cuda.device_array((drops, PATH), np.float32, stream=stream)
-        self.version = new_version()
+            cuda.device_array((drops, 4), np.int32), cuda.device_array(drops, np.uint64),
+        )  # fmt: skip
+        self._paths = cuda.device_array((drops, PATH), np.float32)
 
-    def launch(self):
-        """Queue the numbers of the picture and the picture."""
-        self.now.send()
-        self.draw(self.stream)
-
-    def draw(self, stream):
-        """Queue the picture, whose numbers are sent."""
+    def draw(self, depth):
+        """Queue the picture before what has a depth, float32 device array (height, width) [m]."""
         now, lens, scene = self.now, self.now["lens"], self.scene
+        now.send()
         _, rows, columns = scene.tiles.shape
         threads = (1, 1) if SIMULATED else (DEPTH_TILE, DEPTH_TILE)
-        read_depth[(columns, rows), threads, stream](self._depth, scene.columns, scene.tiles)
-        list_drops[BLOCKS, THREADS, stream](
+        read_depth[(columns, rows), threads](depth, scene.columns, scene.tiles)
+        list_drops[BLOCKS, THREADS](
             now["counts"], self._air, self.view, self._field, scene, *self._sought, self._paths
         )
-        follow[BLOCKS, THREADS, stream](
+        follow[BLOCKS, THREADS](
             *self._sought, self.view, self._field, self.surfaces, self._paths, now["many"],
             self._large,
         )  # fmt: skip
-        draw_large[BLOCKS, WHOLE, stream](
-            now["many"], self._large, self._paths, lens, scene, self.picture
-        )
-        draw_field[BLOCKS, GROUPS, stream](now["sought"], self._paths, lens, scene, self.picture)
+        draw_large[BLOCKS, WHOLE](now["many"], self._large, self._paths, lens, scene, self.picture)
+        draw_field[BLOCKS, GROUPS](now["sought"], self._paths, lens, scene, self.picture)
         if self.drips is not None:
-            self.drips.draw(self.view, scene, self.picture, stream)
+            self.drips.draw(self.view, scene, self.picture)
         if self.spray is not None:
-            self.spray.draw(self.view, scene, self.picture, stream)
-        self.resolve(self.alpha, stream)
+            self.spray.draw(self.view, scene, self.picture)
+        self.resolve(self.alpha)
         if self.spray is not None:
-            self.spray.lay(lens, self._depth, self.alpha, stream)
+            self.spray.lay(lens, depth, self.alpha)
 
-    def resolve(self, alpha_out, stream):
+    def resolve(self, alpha_out):
         """Queue the conversion of the drawn picture into alpha, and blank the picture."""
         height, width = alpha_out.shape
         blocks, threads = (-(-width // TILE), -(-height // TILE)), (TILE, 8)
-        threads = (4, 1) if SIMULATED else threads
-        resolve[blocks, threads, stream](self.picture, alpha_out)
+        resolve[blocks, (4, 1) if SIMULATED else threads](self.picture, alpha_out)

@@ -1,7 +1,4 @@
-"""Drips in the air and those that have just landed, as a list on a CUDA device, and as pictures.
-
-Entries stand in the lists in no fixed order.
-"""
+"""Drips in the air and those that have just landed, as a list on a CUDA device, and as pictures."""
 
 from __future__ import annotations
 
@@ -10,14 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.cuda.driver import fetch, send, to_device
+from rainsim.cuda.driver import SentRows
 from rainsim.cuda.drops import BLOCKS
-from rainsim.cuda.graph import new_version
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.particles.splash_pass import focal_of, seen_at, still_shows
 from rainsim.cuda.particles.streaks import view_of
 from rainsim.cuda.warp import GROUPS
-from rainsim.io.states import DRIP_COLUMNS
+from rainsim.io.states import DRIP_COLUMNS, NO_DRIPS, NO_IDS
 from rainsim.particles.splash import LONGEST_LIFE, Impact
 from rainsim.particles.splash_pass import list_splash
 from rainsim.particles.streaks import Line, draw_line
@@ -26,25 +22,19 @@ from rainsim.rain.dripping import drip_end, drip_line
 # A row of `table`, float64: DRIP_COLUMNS.
 DRIP = len(DRIP_COLUMNS)
 X, Y, TOP, BOTTOM, DIAMETER, BEGIN, END, DRIP_WIND_X, DRIP_WIND_Y = range(DRIP)
-# `book`, int64: drops listed; water [VOLUME_UNIT] on edges and in the air; and, since the start, in
-# films, where no edge can be reached, come down to the ground, and come as finer rain.
-BOOK = 7
-LISTED, HANGING, AIRBORNE, FILM, LOST, RETURNED, FINE = range(BOOK)
 
 
-class Page(NamedTuple):
-    """Listed drips, in no order.
+class ListedDrips(NamedTuple):
+    """Listed drips.
 
-    book : int64 device array (BOOK,). The account, see LISTED to FINE.
+    count : int
     table : float64 device array (room, DRIP). See
         `rainsim.io.states.DRIP_COLUMNS`.
-    where : int32 device array (room,). The point from which each parted.
     ids : uint64 device array (room,)
     """
 
-    book: object
+    count: int
     table: object
-    where: object
     ids: object
 
 
@@ -59,16 +49,16 @@ def cell_of(x, y, surfaces):
 
 
 @cuda_kernel
-def draw_drips(page, sent, scene, picture):
+def draw_drips(drips, sent, scene, picture):
     """Draw listed drips in the streaks' picture, a group of lanes for each.
 
     sent : ShutterView
     scene : SceneDepth
     picture : int64 device array (width * height,). Added to.
     """
-    time, exposure, table, view = sent.time[0], sent.exposure[0], page.table, view_of(sent)
+    time, exposure, table, view = sent.time[0], sent.exposure[0], drips.table, view_of(sent)
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
-    for n in range(first, min(page.book[LISTED], len(table)), cuda.gridDim.x * cuda.blockDim.y):
+    for n in range(first, drips.count, cuda.gridDim.x * cuda.blockDim.y):
         if min(table[n, END], time + exposure) > max(table[n, BEGIN], time):
             x, y, z, vx, vy, vz, diameter = drip_line(
                 table[n, X], table[n, Y], table[n, TOP], table[n, DIAMETER], table[n, BEGIN],
@@ -78,7 +68,7 @@ def draw_drips(page, sent, scene, picture):
 
 
 @cuda_kernel
-def list_drip_splashes(page, surfaces, sent, scene, water, count_out, lines_out):
+def list_drip_splashes(drips, surfaces, sent, scene, water, count_out, lines_out):
     """List the droplets, crowns and jets of drips that have landed, a group of lanes for each.
 
     surfaces : HeightFields. Of device arrays.
@@ -86,9 +76,9 @@ def list_drip_splashes(page, surfaces, sent, scene, water, count_out, lines_out)
         them.
     """
     time, exposure, focal = sent.time[0], sent.exposure[0], focal_of(sent.lens)
-    table = page.table
+    table = drips.table
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
-    for n in range(first, min(page.book[LISTED], len(table)), cuda.gridDim.x * cuda.blockDim.y):
+    for n in range(first, drips.count, cuda.gridDim.x * cuda.blockDim.y):
         diameter, z, age = table[n, DIAMETER], table[n, BOTTOM], time - table[n, END]
         if not -exposure < age <= LONGEST_LIFE:
             continue
@@ -104,53 +94,25 @@ def list_drip_splashes(page, surfaces, sent, scene, water, count_out, lines_out)
         if surfaces.top[row, column] <= surfaces.ground[row, column]:
             under += np.float64(water.ground[row, column])
         if still_shows(diameter, speed, under, age, deep / focal):
-            impact = Impact(page.ids[n], x, y, z, 0.0, 0.0, speed, diameter, under, age)
+            impact = Impact(drips.ids[n], x, y, z, 0.0, 0.0, speed, diameter, under, age)
             list_splash(impact, deep / focal, exposure, count_out, lines_out)
 
 
 class DripList:
-    """Drips in the air and those that have just landed, on the device, in no order.
+    """Drips in the air and those that have just landed, on the device."""
 
-    room : int
-    stream : cuda.stream
-    page : Page
-    version : int. See `cuda.graph.new_version`.
-    """
+    def __init__(self):
+        self._table, self._ids = SentRows((DRIP,), np.float64), SentRows((), np.uint64)
+        self.fill(NO_DRIPS, NO_IDS)
 
-    def __init__(self, room, stream=0):
-        self.room, self._stream, self.version = room, stream, new_version()
-        self.page = Page(
-            to_device(np.zeros(BOOK, np.int64), stream),
-            cuda.device_array((room, DRIP), np.float64, stream=stream),
-            cuda.device_array(room, np.int32, stream=stream),
-            cuda.device_array(room, np.uint64, stream=stream),
-        )
+    def fill(self, table, ids):
+        """Copy a list of drips from the host to the device, as `SimState` has it."""
+        self._there = ListedDrips(len(ids), self._table.send(table), self._ids.send(ids))
 
-    def fill(self, table, ids, where=None, book=None):
-        """Copy a list of drips from the host to the device."""
-        count = len(ids)
-        book = np.zeros(BOOK, np.int64) if book is None else book
-        book[LISTED] = count
-        send(self.page.book, book, self._stream)
-        page = self.page
-        for array, values in ((page.table, table), (page.ids, ids), (page.where, where)):
-            if count and values is not None:
-                values = np.ascontiguousarray(values, array.dtype)
-                send(array[:count], values, self._stream)
-
-    def fetch(self):
-        """Return the table and the ids on the host, in the order of the ids; waits for them."""
-        count = int(fetch(self.page.book, self._stream)[LISTED])
-        ids = fetch(self.page.ids, self._stream)[:count]
-        order = np.argsort(ids)
-        return fetch(self.page.table, self._stream)[:count][order], ids[order]
-
-    def draw(self, view, scene, picture, stream):
+    def draw(self, view, scene, picture):
         """Queue the drawing into the streaks' picture; see `draw_drips`."""
-        draw_drips[BLOCKS, GROUPS, stream](self.page, view, scene, picture)
+        draw_drips[BLOCKS, GROUPS](self._there, view, scene, picture)
 
-    def gather(self, surfaces, view, scene, water, count, lines, stream):
+    def gather(self, surfaces, view, scene, water, count, lines):
         """Queue the listing of their splashes; see `list_drip_splashes`."""
-        list_drip_splashes[BLOCKS, GROUPS, stream](
-            self.page, surfaces, view, scene, water, count, lines
-        )
+        list_drip_splashes[BLOCKS, GROUPS](self._there, surfaces, view, scene, water, count, lines)

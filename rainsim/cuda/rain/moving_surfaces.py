@@ -23,21 +23,20 @@ class MovingHeights:
 
     still : Surfaces. Without what moves.
     footprints : sequence of Footprint
-    stream : numba.cuda.stream
-    fields : HeightFields. Of device arrays, at fixed addresses, with a sky above
-        all that the actors ever reach: a recorded queue holds them.
+    fields : HeightFields. Of device arrays, with a sky above all that the actors
+        ever reach.
     """
 
-    def __init__(self, still, footprints, stream):
-        fields = sent_surfaces(still, stream)
+    def __init__(self, still, footprints):
+        fields = sent_surfaces(still)
         highest = max((footprint.highest for footprint in footprints), default=-np.inf)
         self.fields = fields._replace(sky=max(fields.sky, highest + ABOVE))
-        self._staging = Staging(stream)
+        self._staging = Staging()
         self._maps = {name: MovingMap(getattr(self.fields, name), self._staging) for name in FIELDS}
         self._there = still
 
     def send(self, surfaces):
-        """Send those of `MovingSurfaces.moment`; the device must draw nothing meanwhile."""
+        """Queue the sending of those of `MovingSurfaces.moment`."""
         if surfaces is self._there:
             return
         found = surfaces.height_fields()
@@ -54,40 +53,32 @@ class Shelter:
 
     terrain : Terrain. With footprints.
     wind : tuple. As `MovingSurfaces` takes it, and the roughness.
-    exposure : float32 array (ny, nx). Share of the rain that reaches the ground,
-        without what moves.
-    water : rainsim.cuda.grid.Water
-    impacts : RecentImpacts or None. The drops that are listed there, if it rains.
+    sources : DeviceSources. Of the water.
+    impacts : Impacts. The drops that are listed.
     """
 
-    def __init__(self, terrain, wind, exposure, water, impacts):
-        self._moving, self._water, self._heights = MovingSurfaces(terrain, *wind), water, None
-        self._exposure, self._shelters, self._opened = exposure, [], exposure.copy()
-        if impacts is not None:
-            self._heights = MovingHeights(self._moving.still, terrain.footprints, impacts.stream)
-            impacts.surfaces, impacts.relisted = self._heights.fields, True
+    def __init__(self, terrain, wind, sources, impacts):
+        self._moving, self._sources = MovingSurfaces(terrain, *wind), sources
+        self._shelters, self._opened = [], sources.exposure.copy()
+        self._heights = MovingHeights(self._moving.still, terrain.footprints)
+        impacts.surfaces = self._heights.fields
 
-    def cover(self, time, *following):
-        """Let the drops that are listed next meet the map as it is at a time [s].
+    def move(self, time, *following):
+        """Let drops meet the map as it is at a time [s], and less rain reach the ground below.
 
-        Those of the `following` times [s] are looked for beside it.
+        Those of the `following` times [s] are looked for beside what is done next.
         """
-        self._heights.send(self._moving.at(time))
-        self._middle = time
+        surfaces, shelters = self._moving.moment(time)
         if may_run_beside():
             self._moving.look_ahead(following)
-
-    def thin_rain(self):
-        """Let less rain reach the ground in the listed interval."""
-        if self._heights is None:
-            return
-        shelters = self._moving.moment(self._middle)[1]
+        self._heights.send(surfaces)
         if shelters is self._shelters:
             return
+        exposure = self._sources.exposure
         for part, _ in self._shelters:
-            self._opened[part] = self._exposure[part]
+            self._opened[part] = exposure[part]
         for part, let_through in shelters:
             self._opened[part] *= let_through
         if self._shelters or shelters:
-            self._water.shelter(self._opened, [part for part, _ in shelters])
+            self._sources.shelter(self._opened, [part for part, _ in shelters])
         self._shelters = shelters

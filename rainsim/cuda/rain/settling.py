@@ -12,7 +12,7 @@ import numpy as np
 
 from rainsim.constants import WATER_DENSITY
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.cuda.water.step_control import UNIT
+from rainsim.cuda.water.flow import UNIT
 from rainsim.numerics.random import mix, uniform
 from rainsim.rain.heightfield import GROUND
 from rainsim.rain.size_distribution import drop_volume
@@ -43,7 +43,7 @@ class ImpactLists(NamedTuple):
 
 
 class CellLayout(NamedTuple):
-    """Where the cells of a map lie in the water solver's arrays: see `rainsim.cuda.grid.Water`.
+    """Where the cells of a map lie in the water solver's arrays: see `cuda.water.conserving_flow`.
 
     first, width : int. Place of the first cell, and from one row to the next.
     area : float [m2]. Of a cell.
@@ -59,70 +59,71 @@ class RippleTile(NamedTuple):
 
     size : float [m]. Side.
     steps, cells : int. Parts of an interval, and cells along a side.
-    share : float64 device array (1,). Of the drops on the ground that ring on the
-        tile.
+    share : float. Of the drops on the ground that ring on the tile.
     """
 
     size: float
     steps: int
     cells: int
-    share: object
+    share: float
 
 
 @cuda_kernel
-def settle(
-    lists, times, slot, fall, layout, tile, point, waiting_out, obstacles_out, came_out, pushes_out
-):
+def settle(lists, start, stop, slot, fall, layout, tile, point, waiting_out, came_out, pushes_out):
     """Give the water of listed drops to the cells that they fell on, and some to the ripples.
 
     lists : ImpactLists
-    times : float64 device array (2,) [s]. Start and end.
-    slot : int32 device array (1,). Which of the lists.
+    start, stop : float [s]
+    slot : int. Which of the lists.
     fall : float64 device array (CLASSES,) [m/s]. Fall speeds.
     layout : CellLayout. Of `waiting_out`.
     tile : RippleTile
     point : int32 device array (ny, nx). The point of `came_out` that a cell's
         water goes to; negative: the last.
     waiting_out : device array, int64. Depth that waits in each cell, in
-        `step_control.UNIT`; added to.
-    obstacles_out : int64 device array (1,). Volume that fell on obstacles, in
-        VOLUME_UNIT; added to.
-    came_out : int64 device array (points + 1,). The same by the point that it
-        goes to; added to. Of shape (0,): nothing drips.
+        `flow.UNIT`; added to.
+    came_out : int64 device array (points + 1,). Volume that fell on obstacles by
+        the point that it goes to, in VOLUME_UNIT; added to.
     pushes_out : int64 device array (ripples.SIZES * 2 * maps * cells * cells,).
         Momentum by size of the drops, part of the interval (two in a map) and
         cell of the tile, in PUSH_UNIT; added to.
     """
-    which, values, labels = slot[0], lists.values, lists.labels
-    listed = min(lists.found[which], lists.ids.shape[1])
+    values, labels = lists.values, lists.labels
+    listed = min(lists.found[slot], lists.ids.shape[1])
     for at in range(cuda.grid(1), listed, cuda.gridsize(1)):
-        volume = drop_volume(values[which, at, DIAMETER])
-        row, column = labels[which, at, ROW], labels[which, at, COLUMN]
-        if labels[which, at, KIND] != GROUND:
+        volume = drop_volume(values[slot, at, DIAMETER])
+        row, column = labels[slot, at, ROW], labels[slot, at, COLUMN]
+        if labels[slot, at, KIND] != GROUND:
             water = np.int64(volume / VOLUME_UNIT + 0.5)
-            cuda.atomic.add(obstacles_out, 0, water)
-            if len(came_out) > 0:
-                goes = point[row, column]
-                cuda.atomic.add(came_out, goes if goes >= 0 else len(came_out) - 1, water)
+            goes = point[row, column]
+            cuda.atomic.add(came_out, goes if goes >= 0 else len(came_out) - 1, water)
             continue
         cell = layout.first + row * layout.width + column
         cuda.atomic.add(waiting_out, cell, np.int64(volume / (layout.area * UNIT) + 0.5))
-        momentum = WATER_DENSITY * volume * fall[labels[which, at, CLASS]]
-        age = (times[1] - values[which, at, TIME]) / max(times[1] - times[0], 1e-30)
-        ring(
-            lists.ids[which, at], values[which, at, X], values[which, at, Y], momentum, age, tile,
-            pushes_out,
-        )  # fmt: skip
+        if uniform(mix(lists.ids[slot, at])) < tile.share:
+            momentum = WATER_DENSITY * volume * fall[labels[slot, at, CLASS]]
+            age = (stop - values[slot, at, TIME]) / max(stop - start, 1e-30)
+            x, y = values[slot, at, X], values[slot, at, Y]
+            _ring(x, y, momentum, age, tile, pushes_out)
+
+
+@cuda_kernel
+def ring_each(count, drops, tile, pushes_out):
+    """Let drops ring on the tile.
+
+    count : int
+    drops : float64 device array (room, 4). Place (x, y) [m], momentum [kg m/s], and
+        the time since it came down over the interval's length.
+    tile : RippleTile
+    pushes_out : int64 device array. As in `settle`.
+    """
+    for n in range(cuda.grid(1), count, cuda.gridsize(1)):
+        _ring(drops[n, 0], drops[n, 1], drops[n, 2], drops[n, 3], tile, pushes_out)
 
 
 @cuda.jit(device=True)
-def ring(word, x, y, momentum, age, tile, pushes_out):
-    """Let a drop of a momentum [kg m/s] ring on the tile, if its id is among those that do.
-
-    `age` is the time since it came down over the interval's length; see `settle`.
-    """
-    if uniform(mix(word)) >= tile.share[0]:
-        return
+def _ring(x, y, momentum, age, tile, pushes_out):
+    """Let a drop ring on the tile; see `ring_each`."""
     push, steps, cells = momentum / PUSH_UNIT, tile.steps, tile.cells
     step = min(max(steps - 1 - int(age * steps), 0), steps - 1)
     for least in SIZE_MOMENTA:

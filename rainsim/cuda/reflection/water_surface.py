@@ -253,10 +253,8 @@ class WaterSurface:
     bed, relief : float32 array (ny, nx) [m]
     mirrors : bool array (ny, nx). See
         `rainsim.reflection.water_surface.water_surface`.
-    depth : float32 device array (ny, nx) [m]. Of the water; read at each launch.
     reach : float32 array (2 n + 1, 2 n + 1). See
         `rainsim.water.ripples.block_reach`.
-    stream : numba.cuda.stream
     surface, over : device arrays of shape (ny, nx), float32 [m]. Height of the
         surface, depth of the water that pictures show.
     highest : float32 device array (1,) [m]. Of the surface where there is water;
@@ -265,9 +263,8 @@ class WaterSurface:
         `rainsim.reflection.puddle_rings`.
     """
 
-    def __init__(self, bed, relief, mirrors, depth, reach, stream):
+    def __init__(self, bed, relief, mirrors, reach):
         shape = bed.shape
-        self.depth, self.stream = depth, stream
         self._bed, self._relief = cuda.to_device(bed), cuda.to_device(relief)
         self._mirrors = cuda.to_device(np.ascontiguousarray(mirrors))
         self._wide, self._narrow = cuda.to_device(WIDE), cuda.to_device(NARROW)
@@ -290,19 +287,19 @@ class WaterSurface:
             cuda.device_array(block_shape(shape), np.float32) for _ in range(2)
         )
 
-    def launch(self, stream=None):
-        """Queue the making of the surface, on another stream than its own if one is given."""
-        stream, (rows, columns) = self.stream if stream is None else stream, self.surface.shape
-        cells = (-(-columns // SIDE), -(-rows // HIGH)), THREADS, stream
-        squares = (-(-columns // SIDE), -(-rows // SIDE)), THREADS, stream
+    def draw(self, depth):
+        """Queue the making of the surface of water of a depth, device array (ny, nx) [m]."""
+        rows, columns = self.surface.shape
+        cells = (-(-columns // SIDE), -(-rows // HIGH)), THREADS
+        squares = (-(-columns // SIDE), -(-rows // SIDE)), THREADS
         rows, columns = self._count.shape
-        water = self._bed, self.depth, self._mirrors
+        water = self._bed, depth, self._mirrors
         sum_blocks[cells](*water, self._count, self._mean, self.highest)
-        nearest_rows[columns, LINE, stream](self._count, self._row)
-        nearest_blocks[rows, LINE, stream](self._row, self._mean, self._far)
+        nearest_rows[columns, LINE](self._count, self._row)
+        nearest_blocks[rows, LINE](self._row, self._mean, self._far)
         spread[squares](*water, self._relief, self._wide, self._far, self.surface, self._rough)
         soften[squares](self._rough, self.surface, self._narrow, self.over, self.highest)
         rows, columns = self.shores.shape
-        blocks = (-(-columns // SIDE), -(-rows // HIGH)), THREADS, stream
-        share_wet[blocks](self.depth, self._mirrors, self._wet_share)
+        blocks = (-(-columns // SIDE), -(-rows // HIGH)), THREADS
+        share_wet[blocks](depth, self._mirrors, self._wet_share)
         spread_rings[blocks](self._wet_share, self._reach, self.shores)

@@ -7,52 +7,44 @@ costs what it costs on the CPU, less the splatting.
 
 from __future__ import annotations
 
-from rainsim.cuda.raster import Rasterizer
-from rainsim.render.layers import buffers_of
+import numpy as np
+
+from rainsim.render.frame import INPUTS, PASSES, Frame
+from rainsim.render.layers import LAYER_PASSES, buffers_of
 from rainsim.render.passes import Passes
 from rainsim.shading.composite import RainLight
 
+FETCHED = (
+    "picture", "below", "depth", "clearance", "dazzling", "rain_alpha", "splash_alpha", "fog",
+    "water",
+)  # fmt: skip
+
 
 class AovReader:
-    """Computes the AOVs of the frame that a device has finished.
+    """Computes the AOVs of the frames that a device has finished."""
 
-    frame : DeviceFrame
-    """
+    def __init__(self):
+        self._passes = Passes()
 
-    def __init__(self, frame):
-        self._frame, self._passes = frame, Passes()
-        self._rasterizer = None  # no recorded queue depends on its pictures
-
-    def make(self, names, state):
-        """Make the named AOVs of the finished frame, and the light that recomposes it.
-
-        They stand in the conductor's `Frame` afterwards.
+    def made(self, names, state, drawn):
+        """Return a `Frame` of the host with the named AOVs, and the light that recomposes it.
 
         names : sequence of str. Of `aov.AOVS`.
         state : SimState or DeviceState
+        drawn : Frame. Of device arrays.
         """
-        frame, conductor = self._frame, self._frame.conductor
-        inputs, scene = conductor.frame, conductor.wet_scene
-        capture = scene.capture
-        for name in ("picture", "below", "depth", "clearance", "dazzling"):
-            inputs.put(name, frame[name].copy_to_host())
-        cover, light = frame.passes.rain.cover(), frame.passes.drop_light
-        inputs.put("rain_alpha", cover.rain_alpha)
-        inputs.put("fog", cover.fog)
-        inputs.put("splash_alpha", cover.splash_alpha)
-        drops, sheets = light.drops.copy_to_host(), light.sheets.copy_to_host()
-        inputs.put("rain_light", RainLight(drops, sheets, inputs["air"]))
-        inputs.put("water", frame.passes.surface.depth.copy_to_host())
-        inputs.put("ripples", (frame.ripple_slopes(), state.tile_size))
-        inputs.put("drips", (state.drips, state.drip_id))
-        if capture.paged is not None:  # which draws for the host with a rasterizer of its own
-            inputs.make(buffers_of(names), self._passes.work)
-            return
-        if self._rasterizer is None:
-            own = frame.rasterizer
-            self._rasterizer = Rasterizer(own.splats, own.stream, first_room=own.room.entries)
-        capture.rasterizer = self._rasterizer
-        try:
-            inputs.make(buffers_of(names), self._passes.work)
-        finally:
-            capture.rasterizer = frame.rasterizer
+        frame = Frame((*PASSES, *LAYER_PASSES))
+        for name in INPUTS:
+            if name not in FETCHED:
+                frame.put(name, drawn[name])
+        for name in FETCHED:
+            frame.put(name, drawn[name].copy_to_host())
+        light = drawn["rain_light"]
+        fields = light.drops.copy_to_host(), light.around.copy_to_host()
+        frame.put("rain_light", RainLight(*fields, drawn["air"]))
+        moments, size = drawn["ripples"]
+        moments = moments.copy_to_host()  # first columns: the slopes themselves
+        frame.put("ripples", (np.moveaxis(moments[:, : len(moments), :2], -1, 0), size))
+        frame.put("drips", (state.drips, state.drip_id))
+        frame.make(buffers_of(names), self._passes.work)
+        return frame

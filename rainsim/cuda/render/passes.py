@@ -1,191 +1,160 @@
-"""Twin of `rainsim.render.passes`: what the passes of a frame queue on the device."""
+"""What the passes of a frame compute on a GPU; `rainsim.render.frame` names them in order.
+
+Each takes device arrays and queues the work on the device; some wait for a count.
+"""
 
 from __future__ import annotations
 
-from functools import partial
+import numpy as np
 
-from rainsim.cuda.driver import Event
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.particles.drop_radiance import DropLight
 from rainsim.cuda.reflection import ray_water, screen_space, water_shading, wet_tops
 from rainsim.cuda.reflection.planar_mirror import Mirrors
 from rainsim.cuda.reflection.water_surface import WaterSurface
-from rainsim.cuda.render.actor_splats import MovingActors
-from rainsim.cuda.render.lanes import Lanes, Launch
+from rainsim.cuda.render.device_tables import DeviceTables
 from rainsim.cuda.render.rain_pass import RainPass
 from rainsim.cuda.shading.composite import compose
 from rainsim.cuda.shading.glare import Glare
-from rainsim.cuda.shading.wet_ground_mirror import WetGroundLight
-from rainsim.cuda.shading.wet_pass import grade_layers, pixel_grid
+from rainsim.cuda.shading.wet_ground_mirror import WetGroundLight, add_reflection
+from rainsim.cuda.shading.wet_pass import pixel_grid
 from rainsim.reflection.water_pass import optics_of
 from rainsim.reflection.water_shading import Background, Ripples
 from rainsim.reflection.water_surface import WaterMap
-from rainsim.render.frame import PASSES, WET
 from rainsim.shading.composite import RainCover, RainLight
+from rainsim.ssr import bounds_of
 
 
 class Passes:
-    """The passes of the frames of a device, with their tables there.
+    """The passes of a frame on a GPU, with what they keep from one frame to the next.
 
-    frame : DeviceFrame
-    mirrors : Mirrors
-    ground_light : WetGroundLight
-    drop_light : DropLight
-    surface : WaterSurface
-    glare : Glare or None. None: lamps have no halos.
-    actors : MovingActors or None. None in scenes without actors.
-    rain : RainPass
-    lanes : Lanes. What is queued beside what.
-    launches : dict of str to Launch. By the names of the passes. What is no pass
-        of the device has no entry: the reflection is found where the water is
-        shaded.
+    conductor : Conductor
+    tables : DeviceTables
+    work : dict of str to callable. By the names of the passes, see `Frame.make`.
+        What is no pass of the device has no entry: the level picture is splatted
+        with the light on wet ground, drops are listed as they are drawn.
     """
 
-    def __init__(self, frame):
-        self._frame, conductor = frame, frame.conductor
-        ground = conductor.ground
-        self.surface = WaterSurface(
-            ground.terrain.bed, ground.water.relief, ground.terrain.mirrors, frame["water"],
-            ground.water.block_reach, frame.stream,
+    def __init__(self, conductor):
+        self.tables, ground, self._arrays = DeviceTables(conductor), conductor.ground, {}
+        self._surface = WaterSurface(
+            ground.terrain.bed, ground.water.relief, ground.terrain.mirrors,
+            ground.water.block_reach,
         )  # fmt: skip
-        self.mirrors = Mirrors(frame, conductor.config.render.reflections)
-        self.ground_light, self.drop_light = WetGroundLight(frame), DropLight(frame)
-        self.glare = None if conductor.config.render.glare == "off" else Glare(frame)
-        aside, beside = cuda.stream(), cuda.stream()
-        self._counted = Event(), Event()
-        capture = conductor.wet_scene.capture
-        self.actors = None if capture.actors is None else MovingActors(frame)
-        self.rain = RainPass(frame, self.actors, self.surface)
-        launches = {
-            "splat": Launch(lambda stream: frame.rasterizer.launch()),
-            "grade and wet": Launch(self._grade),
-            "water surface": Launch(self.surface.launch),
-            "find tall": Launch(self._find_tall, aside),
-            "light of drops": Launch(self.drop_light.launch, aside),
-            "list drops": Launch(self.rain.send, beside),
-            "streaks": Launch(self.rain.draw_streaks, beside),
-            "list splashes": Launch(self._list_splashes, aside),
-            "splashes": Launch(self.rain.draw_splashes, beside),
-            "find water": Launch(self._find_water),
-            "mirror": Launch(self._mirror),
-            "water": Launch(self._lay_water), "compose": Launch(self._compose),
+        self._mirrors, self._drop_light = Mirrors(self.tables), DropLight()
+        self._glare, self._rain = Glare(), RainPass(conductor)
+        self._film = WetGroundLight(self.tables) if ground.film.apart else None
+        self.work = {
+            "splat": _splat, "light on wet ground": self._light_ground,
+            "grade and wet": self._grade, "film": self._add_film,
+            "water surface": self._draw_surface, "find tall": self._find_tall,
+            "light of drops": self._light_drops, "list drops": self._rain.see,
+            "streaks": self._rain.fall, "list splashes": _pass_on, "splashes": self._rain.land,
+            "find water": self._find_water, "mirror": self._mirror, "reflection": self._march,
+            "water": self._lay, "light of the rain": self._light_rain, "glare": self._add_glare,
+            "compose": self._compose,
         }  # fmt: skip
-        if (light := self.ground_light).level is not None:
-            launches["splat level"] = Launch(light.splat, light.stream)
-            launches["light on wet ground"] = Launch(light.draw, light.stream)
-            launches["film"] = Launch(light.add)
-        if self.glare is not None:
-            launches["glare"] = Launch(self.glare.add)
-        self.launches, self.lanes = launches, Lanes(PASSES, launches)
 
-    def each(self, part, stream):
-        """Return what a part queues, by pass, one after the other on a stream: functions."""
-        return {
-            each.name: partial(self.launches[each.name].queue, stream)
-            for each in self.lanes.of(part)
-        }
+    def _array(self, name, *shape, kind=np.float32):
+        """Return a device array that stays until another shape is asked for."""
+        if name not in self._arrays or self._arrays[name].shape != shape:
+            self._arrays[name] = None  # freed before more is asked for
+            self._arrays[name] = cuda.device_array(shape, kind)
+        return self._arrays[name]
 
-    def room_for(self, height, width):
-        """Make room for pictures of a size [px]."""
-        self.mirrors.forget_size()
-        self.rain.room_for(height, width)
-        if self.glare is not None:
-            self.glare.room_for(height, width)
+    def _grade(self, layers, _view, _scene, apart):
+        size = layers.alpha.shape
+        below = self._array("below", *size, 3)
+        depth, clearance = (self._array(name, *size) for name in ("depth", "clearance"))
+        cover = self._array("cover", *size) if apart else None
+        self.tables.grade(layers, self.tables.camera, below, depth, clearance, cover)
+        return below, depth, clearance, cover
 
-    # ---- what a finished frame had too little room for
+    def _light_ground(self, _layers, scene, camera):
+        return None if self._film is None else self._film.draw(scene, camera)
 
-    def dry_rasterizers(self):
-        """Return what may lack room in pictures that need no water: rasterizers, and `Lamps`."""
-        light = self.ground_light
-        return [self._frame.rasterizer, *light.rasterizers, *light.lamps]
+    def _add_film(self, below, depth, _clearance, cover, _view, _camera, _scene, _ground, light):
+        if light is None:
+            return below
+        picture = self._array("picture", *below.shape)
+        add_reflection[pixel_grid(depth.shape)](below, cover, *light, picture)
+        return picture
 
-    def wait_for_counts(self):
-        """Wait until it is known how much room the frame's water and rain need."""
-        for counted in self._counted:
-            counted.synchronize()
+    def _draw_surface(self, water, _rings, _ground):
+        self._surface.draw(water)
+        return self._surface
 
-    @property
-    def lacks(self):
-        """Whether the frame's water and rain had too little room."""
-        return self.mirrors.lacks or self.rain.lacks
+    def _find_tall(self, depth, clearance):
+        size, joiners = depth.shape, screen_space.JOINERS
+        tall, bounds = self._array("tall", *size), self._array("bounds", *bounds_of(*size))
+        screen_space.keep_tall[pixel_grid(size)](depth, clearance, tall, bounds)
+        screen_space.join_bounds[-(-len(bounds) // joiners), joiners](*size, bounds)
+        return tall, bounds
 
-    def grow(self):
-        """Make room where the finished frame's water and rain lacked it."""
-        self.mirrors.grow()
-        self.rain.grow()
+    def _light_drops(self, picture, depth, _view, _scene, _everywhere):
+        return self._drop_light.find(picture, depth, self.tables)
 
-    def dependencies(self, part):
-        """Return the values that the recorded queues of a part, WET or not, depend on, a tuple."""
-        if part == WET:
-            return *self.mirrors.queue, *self.rain.dependencies()
-        return *self._frame.rasterizer.queue, *self.ground_light.queue
-
-    # ---- what is queued
-
-    def _grade(self, stream):
-        frame = self._frame
-        grade_layers(
-            frame, frame.rasterizer, frame.size, frame.uniforms["turn"], frame.uniforms["eye"],
-            frame["below"], frame["depth"], frame["clearance"], frame["cover"], stream,
-            mirrored=False,
-        )  # fmt: skip
-
-    def _find_tall(self, stream):
-        frame, joiners = self._frame, screen_space.JOINERS
-        screen_space.keep_tall[pixel_grid(frame.size, stream)](
-            frame["depth"], frame["clearance"], frame["tall"], frame["bounds"]
-        )
-        screen_space.join_bounds[-(-len(frame["bounds"]) // joiners), joiners, stream](
-            *frame.size, frame["bounds"]
-        )
-
-    def _list_splashes(self, stream):
-        self.rain.list_splashes(stream)
-        self._counted[0].record_outside(stream)
-
-    def _mirror(self, stream):
-        self.mirrors.launch(stream)
-        self._counted[1].record_outside(stream)
-
-    def _find_water(self, stream):
-        frame = self._frame
-        grid, found = pixel_grid(frame.size, stream), (frame["hit"], frame["coverage"])
+    def _find_water(self, depth, _view, surface, _tops, _scene, _methods):
+        tables, grid = self.tables, pixel_grid(depth.shape)
+        seen = tuple(self._array(name, *depth.shape) for name in ("hit", "coverage"))
         ray_water.meet_water[grid](
-            frame["depth"], frame.view, self._water_map, self.surface.highest,
-            frame.uniforms["cover"], *found,
-        )  # fmt: skip
-        if len(frame.tops.form):
-            wet_tops.meet_tops[grid](
-                frame["depth"], frame.view, frame.tops, frame.uniforms["off_ground"],
-                *found,
-            )  # fmt: skip
+            depth, tables.view, self._water_map(surface), surface.highest, tables["cover"], *seen
+        )
+        if len(tables.tops.form):
+            wet_tops.meet_tops[grid](depth, tables.view, tables.tops, tables["off_ground"], *seen)
+        return seen
 
-    @property
-    def _water_map(self):
-        drawn, place = self.surface, self._frame.place
-        return WaterMap(drawn.surface, drawn.over, self._frame["rings"], *place, drawn.shores)
+    def _water_map(self, surface):
+        tables = self.tables
+        return WaterMap(
+            surface.surface, surface.over, tables["rings"], *tables.place, surface.shores
+        )
 
-    def _lay_water(self, stream):
-        frame, mirrors = self._frame, self.mirrors.arrays
-        (height, width), (wide, high) = frame.size, screen_space.PATCH
-        patches = (-(-width // wide), -(-height // high)), screen_space.PATCH, stream
-        found, settings = (frame["hit"], frame["coverage"]), frame.uniforms["settings"]
-        screen_space.find_hits[patches](
-            *found, frame["tall"], frame["bounds"], frame.view, settings, mirrors.range,
-            frame["distance"],
-        )  # fmt: skip
-        water_shading.shade_water[pixel_grid(frame.size, stream)](
-            *found, frame["distance"],
-            Background(frame["picture"], frame["below"], frame["depth"]), frame["tall"],
-            frame.view, self._water_map, frame.tops, Ripples(frame["moments"], frame.tile),
-            frame["environment"], frame["gloss"], settings, mirrors,
-            optics_of(frame.conductor.methods, frame.uniforms["sun"]), frame["shown"],
-        )  # fmt: skip
+    def _mirror(self, seen, _tops, camera, _view, scene, methods, step):
+        return self._mirrors.draw(seen, camera, scene, methods.reflections, step)
 
-    def _compose(self, stream):
-        frame, light = self._frame, self.drop_light
-        compose[pixel_grid(frame.size, stream)](
-            frame["dazzling"], frame["depth"], RainCover(*self.rain.alphas, frame.uniforms["fog"]),
-            RainLight(light.drops, light.sheets, frame.uniforms["air"]), frame.view,
-            frame.uniforms["brightness"], frame["image"],
+    def _march(
+        self, seen, mirrors, ripples, _tops, _picture, depth, _clearance, tall, _view, _scene,
+        _methods,
+    ):  # fmt: skip
+        (height, width), (wide, high) = depth.shape, screen_space.PATCH
+        distance, tables = self._array("distance", height, width), self.tables
+        screen_space.find_hits[(-(-width // wide), -(-height // high)), screen_space.PATCH](
+            *seen, *tall, tables.view, tables["settings"], mirrors.range, distance
+        )
+        return distance, mirrors, tall[0], Ripples(*ripples)
+
+    def _lay(self, seen, reflected, picture, below, depth, _view, _sun, methods):
+        tables, (distance, mirrors, tall, ripples) = self.tables, reflected
+        shown = self._array("shown", *picture.shape)
+        water_shading.shade_water[pixel_grid(depth.shape)](
+            *seen, distance, Background(picture, below, depth), tall, tables.view,
+            self._water_map(self._surface), tables.tops, ripples, tables["environment"],
+            tables["gloss"], tables["settings"], mirrors, optics_of(methods, tables["sun"]), shown,
         )  # fmt: skip
+        return shown
+
+    def _light_rain(self, drop_light, _air, _shown, _render):
+        return RainLight(*drop_light, self.tables["air"])
+
+    def _add_glare(self, shown, camera, _brightness, render):
+        if render.glare == "off":
+            return shown
+        return self._glare.added(shown, self.tables["brightness"], camera.fx)
+
+    def _compose(self, picture, depth, rain_alpha, splash_alpha, fog, light, _view, _brightness):
+        image = self._array("image", *picture.shape, kind=np.uint8)
+        compose[pixel_grid(depth.shape)](
+            picture, depth, RainCover(rain_alpha, splash_alpha, fog), light, self.tables.view,
+            self.tables["brightness"], image,
+        )  # fmt: skip
+        return image
+
+
+def _pass_on(drops, *_given):
+    """Return the streaks, over which splashes are listed as they are drawn."""
+    return drops
+
+
+def _splat(camera, capture):
+    return capture.layers(camera, on_device=True)

@@ -6,180 +6,122 @@ import math
 
 import numpy as np
 
-from rainsim.cuda.jit import pinned
+from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.jit import cuda
 from rainsim.cuda.particles.splash_pass import Splashes
+from rainsim.cuda.particles.spray import Spray
 from rainsim.cuda.particles.streaks import Streaks
-from rainsim.cuda.rain.dripping import DripList
+from rainsim.cuda.rain.drip_list import DripList
 from rainsim.cuda.rain.impact_history import RecentImpacts
-from rainsim.cuda.small_copies import copy_small
+from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.drops import RainField, RainSpectrum
-from rainsim.particles.fog import NO_FOG, fog_table
+from rainsim.particles.fog import FOG_STEPS, NO_FOG, fog_table
 from rainsim.particles.line_raster import NEAR
 from rainsim.particles.splash import WET_FILM
+from rainsim.particles.spray import spray_seen
 from rainsim.render.rain_pass import drawn_reach
-from rainsim.shading.composite import RainCover
+
+AHEAD = 2  # intervals after a frame's time that its exposure sees
+NO_RAIN = RainField(RainSpectrum(0.0))
 
 
 class RainPass:
     """Draws streaks, splashes, drips and spray before a picture.
 
-    frame : rainsim.cuda.render.device_frame.DeviceFrame
-    actors : MovingActors or None
-    surface : WaterSurface. Of the water that splashes are thrown from.
-    streaks : Streaks or None. None where neither rain falls nor tyres throw
-        anything.
-    splashes : Splashes or None. None without rain.
-    impacts : RecentImpacts or None. What fell in the last moments, for states of
-        the host, and where actors move: a frame shows what fell on them as they
-        stand at its time.
-    drips : DripList or None. For states of the host.
+    conductor : Conductor
     """
 
-    def __init__(self, frame, actors, surface):
-        self._frame, self._actors, self._surface = frame, actors, surface
-        self.stream = frame.stream
-        self.streaks = self.splashes = self.impacts = self.drips = None
-        self._fog_of = None, NO_FOG, None
-        self._lines = pinned(1, np.int32)
+    def __init__(self, conductor):
+        self._conductor, ground = conductor, conductor.ground
+        footprints = ground.terrain.footprints
+        self._heights = self._spray = None
+        if footprints:
+            self._heights = MovingHeights(ground.moving.still, footprints)
+            self._spray = Spray() if conductor.cars else None
+        self._streaks = self._splashes = self._impacts = self._drips = None
+        self._listed_for = None  # the weather of `_impacts`
+        self._fog, self._fog_of = FrameUniforms({"fog": ((FOG_STEPS + 3,), np.float32)}), None
+        self._none = None  # a picture without rain
 
-    def room_for(self, height, width):
-        """Allocate the arrays that pictures of a size [px] need."""
-        self.streaks = self.splashes = None
-        inputs, actors = self._frame.conductor.frame, self._actors
-        field, surfaces, depth = inputs["field"], inputs["surfaces"], self._frame["depth"]
-        spray = None if actors is None else actors.spray
-        if field is None and spray is None:
-            return
-        field = RainField(RainSpectrum(0.0)) if field is None else field
-        self.streaks = Streaks(field, surfaces, width, height, depth, self.stream)
-        self._no_rain = field
-        if self._moves:
-            self.streaks.surfaces = actors.heights.fields
-        self.streaks.spray = spray
-
-    def update(self, state, camera_end):
-        """Take over rain and shutter of the next frame; return the fog of undrawn drops."""
-        if self.streaks is None:
-            return NO_FOG
-        conductor, simulation = self._frame.conductor, getattr(state, "simulation", None)
-        render, camera = conductor.now.render, conductor.ground_camera
-        field, shutter = conductor.frame["field"], (camera, state.time, render.exposure)
+    def see(self, camera, camera_end, time, render, field):
+        """Take over camera, shutter and rain of a picture; return its streaks, or None."""
+        if field is None and self._spray is None:
+            return None
+        if self._streaks is None or self._streaks.alpha.shape != (camera.height, camera.width):
+            self._streaks = self._splashes = None  # freed before more is asked for
+            surfaces = self._conductor.frame["surfaces"]
+            if self._heights is not None:
+                surfaces = self._heights.fields
+            rain = NO_RAIN if field is None else field
+            self._streaks = Streaks(rain, surfaces, camera.width, camera.height)
+            self._streaks.spray = self._spray
+        shutter = camera, time, render.exposure
         lens = camera_end, render.aperture, render.focus
         if field is None:
-            self.streaks.update(self._no_rain, *shutter, NEAR, *lens)
-            return NO_FOG
+            self._streaks.update(NO_RAIN, *shutter, NEAR, *lens)
+            self._send_fog(None, NO_FOG)
+            return self._streaks
         times = render.exposure, render.reach_exposure
         key = field, camera.fx, camera.fy, *times, render.streak_far
-        if key != self._fog_of[0]:
-            reach = drawn_reach(field, camera, render)
-            self._fog_of = key, fog_table(field, reach), reach
-        _, fog, reach = self._fog_of
-        self.streaks.update(field, *shutter, reach, *lens)
-        if self.impacts is None and (simulation is None or self._moves):
-            self.impacts = self._recent()
-        frame = math.floor(state.time * conductor.config.fps + 1e-6)
-        if self.impacts is not None:
-            self.impacts.update(frame)
-        recent = simulation.impacts if self.impacts is None else self.impacts
-        if self.splashes is None:
-            self.splashes = Splashes(self.streaks, recent, self._surface.depth)
-        film = WET_FILM * conductor.frame["paving"]
-        self.splashes.update(field, film, recent.next_list(frame))
-        return fog
+        if key != self._fog_of:
+            self._reach = drawn_reach(field, camera, render)
+            self._send_fog(key, fog_table(field, self._reach))
+        self._streaks.update(field, *shutter, self._reach, *lens)
+        return self._streaks
 
-    @property
-    def _moves(self):
-        return self._actors is not None and self._actors.heights is not None
+    def _send_fog(self, key, table):
+        self._fog_of = key
+        self._fog.update(fog=table)
+        self._fog.send()
 
-    def _recent(self):
-        """Return the impacts of states whose times may lie within an interval."""
-        conductor, actors = self._frame.conductor, self._actors
-        # Two more intervals are to come.
-        recent = RecentImpacts(
-            conductor.weather, conductor.frame["surfaces"], conductor.config.fps, 2, self.stream
-        )
-        if self._moves:
-            recent.surfaces, recent.relisted = actors.heights.fields, True
-        return recent
+    def fall(self, streaks, depth, camera, camera_end, time, render, field, surfaces, drips, rolls):
+        """Queue what `draw_falling` draws; return it as a device array, and the fog."""
+        if streaks is None:
+            if self._fog_of is None:
+                self._send_fog((), NO_FOG)
+            return self._nothing(depth.shape), self._fog["fog"]
+        if self._heights is not None:
+            self._heights.send(surfaces)
+        if self._spray is not None:
+            self._spray.send(*spray_seen(rolls, camera, time, render.exposure), camera)
+        streaks.drips = self._on_device(drips)
+        streaks.draw(depth)
+        return streaks.alpha, self._fog["fog"]
 
-    def leave_water(self):
-        """Drop the impacts and drips of the frames so far: the next shows another simulation."""
-        self.splashes = self.impacts = self.drips = None
-        if self.streaks is not None:
-            self.streaks.drips = None
+    def land(
+        self, streaks, _rain_alpha, depth, camera, camera_end, time, interval, render, field,
+        surfaces, drips, water, paving,
+    ):  # fmt: skip
+        """Queue what `draw_landing` draws; return it as a device array; waits."""
+        if field is None:
+            return self._nothing(depth.shape)
+        conductor = self._conductor
+        if self._listed_for is not conductor.weather:
+            self._listed_for, self._splashes = conductor.weather, None
+            self._impacts = RecentImpacts(conductor.weather, surfaces, conductor.config.fps, AHEAD)
+            if self._heights is not None:
+                self._impacts.surfaces = self._heights.fields
+        if self._heights is not None:  # what drops have met may have moved
+            self._impacts.forget()
+        self._impacts.update(math.floor(time * conductor.config.fps + 1e-6))
+        if self._splashes is None:
+            self._splashes = Splashes(streaks, self._impacts)
+        self._splashes.update(field, WET_FILM * paving)
+        self._splashes.draw(water)
+        return self._splashes.alpha
 
-    def send_drips(self, state):
-        """Send the drips of a state of the host; the device must draw nothing meanwhile.
+    def _on_device(self, drips):
+        """Return the `DripList` of a state's drips, which are there or on the host."""
+        if drips is None or isinstance(drips, DripList):
+            return drips
+        if not len(drips[1]):
+            return None
+        if self._drips is None:
+            self._drips = DripList()
+        self._drips.fill(*drips)
+        return self._drips
 
-        Room is made here and not before: the frame before may still be drawn again, and a queue
-        recorded for that would hold the list without the room.
-        """
-        count, room = len(state.drip_id), 0 if self.drips is None else self.drips.room
-        if self.streaks is not None and count > room:
-            self.drips = DripList(2 * count)
-        if self.drips is not None:
-            self.drips.fill(state.drips, state.drip_id)
-            self.streaks.drips = self.drips
-
-    def take_water(self, state):
-        """Take over the water that a simulation on the device has for a frame."""
-        if self.splashes is not None:
-            self.splashes.depth = state.depth
-        if self.streaks is not None:
-            self.streaks.drips = state.drip_list
-
-    # ---- what is queued
-
-    @property
-    def alphas(self):
-        """Shares of light that drops and splashes replace, two device arrays."""
-        both = self.streaks, self.splashes
-        none = self._frame["no_rain"]
-        return tuple(none if each is None else each.alpha for each in both)
-
-    def send(self, stream):
-        """Queue the copy of camera, shutter and drops of the picture."""
-        if self.streaks is not None:
-            self.streaks.now.send(stream)
-
-    def draw_streaks(self, stream):
-        """Queue the picture of the falling drops."""
-        if self.streaks is not None:
-            self.streaks.draw(stream)
-
-    def list_splashes(self, stream):
-        """Queue the listing of the splashes in view."""
-        if self.splashes is not None:
-            if self.impacts is not None:
-                self.impacts.launch(stream)
-            self.splashes.gather(stream)
-            copy_small(self.splashes.count, self._lines, stream)
-
-    def draw_splashes(self, stream):
-        """Queue the drawing of the listed splashes, after the picture of the falling drops."""
-        if self.splashes is not None:
-            self.splashes.draw(stream)
-
-    # ---- what comes back
-
-    @property
-    def lacks(self):
-        """Whether there was too little room for the frame's splashes."""
-        if self.splashes is not None and self.impacts is not None:
-            self.impacts.check()
-        return self.splashes is not None and int(self._lines[0]) > len(self.splashes.lines)
-
-    def grow(self):
-        """Make room where the finished frame's splashes lacked it."""
-        if self.lacks:
-            self.splashes.make_room(2 * int(self._lines[0]))
-
-    def dependencies(self):
-        """Return the values that a recorded queue depends on, one for each list that it draws."""
-        parts = self.splashes, self.streaks, self.drips
-        return tuple(part.version for part in parts if part is not None)
-
-    def cover(self):
-        """Return the `RainCover` of the finished frame, on the host."""
-        fog = NO_FOG if self.splashes is None else self._fog_of[1]
-        return RainCover(*(alpha.copy_to_host() for alpha in self.alphas), fog)
+    def _nothing(self, shape):
+        if self._none is None or self._none.shape != shape:
+            self._none = cuda.to_device(np.zeros(shape, np.float32))
+        return self._none

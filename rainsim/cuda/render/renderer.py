@@ -1,30 +1,41 @@
 """Whole rainy frames on the GPU: twin of `rainsim.render.renderer`.
 
-A frame is one queue on the device, recorded once and replayed: splatting, grading and wetting, the
-water surface, reflections, refraction, streaks, splashes, composition to 8 bit and the copy of the
-picture to the host. The host sends what has changed and waits at the end; then it is known which
-list had too little room, room is made, and the frame is drawn again. Streaks and splashes are drawn
-beside the water, the water's surface is found beside the splatting, and in a video the host
-prepares the next frame while the device draws.
+The passes are those of the CPU, in the same order, and run by the same `Frame`; what they compute
+stands in `rainsim.cuda.render.passes`. The finished picture is copied to the host while the next
+frame is drawn.
 """
 
 from __future__ import annotations
 
-import time as clock
+from typing import NamedTuple
 
-from rainsim.cuda.driver import Event, one_fault
+import numpy as np
+
+from rainsim.cuda.driver import Download, Event, one_fault
 from rainsim.cuda.jit import cuda
-from rainsim.cuda.raster import Rasterizer
+from rainsim.cuda.raster import Rasterizer, Workspace
 from rainsim.cuda.render.aov import AovReader
-from rainsim.cuda.render.device_frame import DeviceFrame
-from rainsim.cuda.render.frame_queue import FrameQueue
+from rainsim.cuda.render.passes import Passes
 from rainsim.cuda.splatting.prepared import DeviceSplats
-from rainsim.cuda.timing import part_times
 from rainsim.errors import ParameterError
+from rainsim.rain.moving_surfaces import FRAMES_AHEAD
 from rainsim.render.conductor import Conductor
-from rainsim.render.frame import DRY, SPLAT, SURFACE, WET
 from rainsim.render.renderer import report_of
+from rainsim.render.report import FrameReport, Timer
 from rainsim.splatting.prepared import LANES
+
+
+class Drawn(NamedTuple):
+    """A frame that is on its way to the host."""
+
+    picture: np.ndarray  # there, once it is copied
+    report: FrameReport
+    copied: Event
+
+    def finished(self):
+        """Return picture and report; waits for the copy."""
+        self.copied.synchronize()
+        return self.picture, self.report
 
 
 class Renderer:
@@ -34,11 +45,9 @@ class Renderer:
     water stays on the device.
 
     conductor : Conductor. Scene, light, weather and ground; its capture's
-        rasterizer draws on the device.
-    frame : DeviceFrame
-    queue : FrameQueue
-    takes_any_height : bool. No: memory is allocated again and queues are recorded
-        again.
+        rasterizer draws on the device, its `frame` holds device arrays.
+    passes : Passes
+    takes_any_height : bool. No: memory is allocated again.
     """
 
     takes_any_height = False
@@ -46,69 +55,75 @@ class Renderer:
     @one_fault()
     def __init__(self, scene, terrain, config, first_camera):
         _require_known(config.render)
-        self.stream, self._ahead = cuda.stream(), cuda.stream()
         self._room = sum(-(-len(actor.splats) // LANES) for actor in scene.actors)
+        self._workspace, self._download = Workspace(), Download()
         self.conductor = Conductor(scene, terrain, config, first_camera, self._rasterizer_of)
-        self.frame = DeviceFrame(self.conductor, self.stream)
-        self.queue = FrameQueue(self.frame)
-        self._aovs = AovReader(self.frame)
+        self.passes, self._aovs = Passes(self.conductor), AovReader()
 
     def _rasterizer_of(self, prepared):
         if prepared.written is None:
             prepared = DeviceSplats(prepared, self._room)
-        return Rasterizer(prepared, self._ahead)
+        return Rasterizer(prepared, workspace=self._workspace)
 
     @one_fault()
-    def draw(self, camera, state, camera_end=None, names=()):
+    def draw(self, camera, state, camera_end=None, names=(), timer=None):
         """Return the picture (height, width, 3) uint8 that a camera takes, and its report.
 
-        The picture is overwritten by the next call. Parameters are those of the CPU's renderer.
+        The picture is overwritten by the next call but one. Parameters are those of the CPU's
+        renderer; with a `timer` the host waits for the device after each pass.
         """
-        self.queue.draw((camera, state, camera_end))
-        return self._report(names)
+        return self._begin(camera, state, camera_end, names, timer).finished()
 
     def film(self, shots, names=()):
         """Yield the result of `draw` for each (camera, state, camera_end), one after the other.
 
-        While one is drawn, the next is asked for and prepared, and begun on the device.
+        A picture is copied to the host while the next one is drawn.
         """
-        if not names:
-            with one_fault():
-                yield from self.queue.draw_each(shots, self._report)
-            return
+        before = None
         for shot in shots:
-            yield self.draw(*shot, names)
+            with one_fault():
+                drawn = self._begin(*shot, names)
+                done = None if before is None else before.finished()
+            if done is not None:
+                yield done
+            before = drawn
+        if before is not None:
+            yield before.finished()
 
-    @one_fault()
-    def stage_times(self):
-        """Return the milliseconds of each stage of the frame drawn last, by events; draws it again.
+    def _begin(self, camera, state, camera_end, names=(), timer=None):
+        """Queue a frame and the copy of its picture; return it as `Drawn`."""
+        conductor, own = self.conductor, timer or Timer()
+        depth, moments = self.passes.tables.water_of(state)
+        conductor.roll(state.time, depth.copy_to_host() if conductor.cars else None)
+        conductor.take(camera, state, camera_end)
+        self.passes.tables.update()
+        put, frame = conductor.frame.put, conductor.frame
+        put("water", depth, mark=state)
+        put("ripples", (moments, np.float32(state.tile_size)), mark=state)
+        put("drips", _drips_of(state), mark=state)
 
-        The stages follow one another here; in use some lie beside others, and take less.
-        """
-        frame, passes, stream = self.frame, self.frame.passes, self.stream
+        def mark(name):
+            if timer is not None:
+                cuda.synchronize()
+            own.mark(name)
 
-        before, after = Event(), Event()
+        frame.make(("image",), self.passes.work, mark)
+        picture, copied = self._download.begin(frame["image"])
+        made = self._aovs.made(names, state, frame) if names else None
+        report = report_of(conductor, state, own.stages, names, made)
+        if conductor.ground.terrain.footprints:
+            fps = conductor.config.fps
+            number = round(state.time * fps)
+            times = [(number + n) / fps for n in range(1 + FRAMES_AHEAD)]
+            conductor.look_ahead(times[1:], times[:1])
+        return Drawn(picture, report, copied)
 
-        def splat():
-            before.record(stream)
-            before.wait(frame.ahead)
-            passes.lanes.queue(SPLAT, frame.ahead)
-            after.record(frame.ahead)
-            after.wait(stream)
 
-        parts = {"numbers": frame.uniforms.send, "splat": splat}
-        for part in (DRY, SURFACE, WET):
-            parts.update(passes.each(part, stream))
-        parts["copy"] = lambda: frame.copy_image(self.queue.pictures.last.values)
-        return part_times(stream, parts)
-
-    def _report(self, names=()):
-        """Return the picture and the report of the frame that was finished last."""
-        done = self.queue.done
-        stages = {"frame": (clock.perf_counter() - done.begin) * 1e3}
-        if names:
-            self._aovs.make(names, done.state)
-        return done.picture.values, report_of(self.conductor, done.state, stages, names)
+def _drips_of(state):
+    """Return the drips of a state: a `DripList` of the device, or the table and ids of the host."""
+    if hasattr(state, "drip_list"):
+        return state.drip_list
+    return state.drips, state.drip_id
 
 
 def _require_known(render):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.constants import ZERO
-from rainsim.cuda.driver import send
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_device, cuda_kernel
 from rainsim.cuda.shading.wet_pass import pixel_grid
 from rainsim.shading.glare import DAZZLES, spread_kernel
@@ -82,36 +81,29 @@ def add_halos(picture, brightness, column, count, spread, dazzling_out):
 
 
 class Glare:
-    """The halos of lamps in one frame after another.
+    """The halos of lamps in one frame after another."""
 
-    frame : DeviceFrame
-    """
+    def __init__(self):
+        self._for = self._spread = None
 
-    def __init__(self, frame):
-        self._frame, self._focal, self._spread = frame, None, None
+    def added(self, shown, brightness, focal):
+        """Queue the sum of a shown picture and its halos; return it.
 
-    def room_for(self, height, width):
-        """Make room for pictures of a size [px]."""
-        self._spread = cuda.device_array((height, width), np.float32)
-        self._column = cuda.device_array((height, width), np.int32)
-        self._count, self._focal = cuda.device_array(height, np.int32), None
-
-    def update(self, focal):
-        """Take over the focal length [px] of the next picture."""
-        if focal != self._focal:
-            self._frame.pending.append(lambda: self._send(focal))
-
-    def _send(self, focal):
-        rows, columns = self._spread.shape
-        spread = spread_kernel(focal, rows, columns)[rows - 1 :, columns - 1 :]
-        send(self._spread, np.ascontiguousarray(spread))
-        self._focal = focal
-
-    def add(self, stream):
-        """Queue the sum of the shown picture and its halos."""
-        frame, lists = self._frame, (self._column, self._count)
-        shown, brightness = frame["shown"], frame.uniforms["brightness"]
-        list_dazzling[frame.size[0], THREADS, stream](shown, brightness, *lists)
-        add_halos[pixel_grid(frame.size, stream)](
-            shown, brightness, *lists, self._spread, frame["dazzling"]
-        )
+        shown : float32 device array (height, width, 3)
+        brightness : float32 device array (1,)
+        focal : float [px]
+        """
+        rows, columns = size = shown.shape[:2]
+        if self._for is None or self._for[1] != size:
+            self._column = cuda.device_array(size, np.int32)
+            self._count = cuda.device_array(rows, np.int32)
+            self._dazzling = cuda.device_array(shown.shape, np.float32)
+        if self._for != (focal, size):
+            self._for, spread = (focal, size), spread_kernel(focal, rows, columns)
+            self._spread = cuda.to_device(
+                np.ascontiguousarray(spread[rows - 1 :, columns - 1 :], np.float32)
+            )
+        lists = self._column, self._count
+        list_dazzling[rows, THREADS](shown, brightness, *lists)
+        add_halos[pixel_grid(size)](shown, brightness, *lists, self._spread, self._dazzling)
+        return self._dazzling

@@ -1,21 +1,19 @@
-"""Twin of `rainsim.shading.wet_pass`: the wet picture without water, a thread for each pixel.
-
-Numbers that change from frame to frame are device arrays, which a recorded frame reads each time.
-"""
+"""Twin of `rainsim.shading.wet_pass`: the wet picture without water, a thread for each pixel."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from rainsim.constants import SURFACE_ALPHA, ZERO
+from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.scene.view import column_slope, row_slope, view_from, view_of_arrays
 from rainsim.shading.grading import look_from
-from rainsim.shading.smooth_normals import AROUND, NO_AROUND, smooth_normal, turn_of, turned
-from rainsim.shading.surface_point import GroundMaps, seen_surface
-from rainsim.shading.wet_pass import NO_DEPTH, DryPicture
+from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
+from rainsim.shading.surface_point import seen_surface
+from rainsim.shading.wet_pass import NO_DEPTH
 from rainsim.shading.wetness import off_ground_from
-from rainsim.shading.wetting import SkyMaps, wet_pixel
+from rainsim.shading.wetting import wet_pixel
 
 BLOCK = (32, 8)  # threads: columns, rows
 
@@ -25,41 +23,32 @@ def blocks(height, width):
     return -(-width // BLOCK[0]), -(-height // BLOCK[1])
 
 
-def pixel_grid(size, stream):
+def pixel_grid(size):
     """Return the launch configuration of a thread for each pixel of a picture (height, width)."""
-    return blocks(*size), BLOCK, stream
+    return blocks(*size), BLOCK
 
 
-def grade_layers(
-    frame, rasterizer, shape, turn, eye, picture, depth, clearance, cover, stream, mirrored=True
-):
-    """Queue the grading and wetting of the layers of a rasterizer.
+class DeviceView:
+    """The camera of one picture after another as kernels take it.
 
-    frame : DeviceFrame
-    rasterizer : rainsim.cuda.raster.Rasterizer
-    shape : tuple of int. Height and width of its picture [px].
-    turn, eye : device array. Of its camera, in the ground frame.
-    picture, depth, clearance, cover : device array. What is written.
-    stream : numba.cuda.stream
-    mirrored : bool
+    view : View. Of device arrays, see `view_of_arrays`.
+    size : float32 device array (2,). Width and height of its picture [px].
     """
-    layers = rasterizer.layers
-    layer = frame.conductor.wet_scene.ground.thickest_layer
-    dry = DryPicture(
-        layers.color.reshape(*shape, 3), layers.alpha.reshape(shape), layers.depth.reshape(shape),
-        layers.plane_depth.reshape(shape), layers.normal.reshape(*shape, 3),
-        np.float32(frame.conductor.wet_scene.frame.meters_per_unit),
-        NO_AROUND if mirrored else max(AROUND, layer),
-    )  # fmt: skip
-    ground = GroundMaps(
-        frame["bed"], frame["ground_map"], *frame.place, frame["bodies"], frame["layer"],
-        layer,
-    )  # fmt: skip
-    sky = SkyMaps(frame["gloss"], frame["coat"], frame["behind_mirrored" if mirrored else "behind"])
-    grade_and_wet[pixel_grid(shape, stream)](
-        rasterizer.size, dry, view_of_arrays(turn, eye, rasterizer.lens), ground,
-        frame.uniforms["off_ground"], sky, frame.uniforms["look"], picture, depth, clearance, cover,
-    )  # fmt: skip
+
+    def __init__(self):
+        f4 = np.float32
+        self._now = FrameUniforms({
+            "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "size": ((2,), f4),
+        })  # fmt: skip
+        self.view = view_of_arrays(*(self._now[name] for name in ("turn", "eye", "lens")))
+        self.size, self.lens = self._now["size"], self._now["lens"]
+
+    def take(self, view, shape):
+        """Take over a `View` of the host, of a picture (height, width)."""
+        self._now.update(
+            turn=view.ground_from_camera, eye=view.eye, lens=view.lens, size=shape[::-1]
+        )
+        self._now.send()
 
 
 @cuda_kernel

@@ -90,35 +90,6 @@ def pose_splats(
             sh_out[half] = max(-MOST, min(value, MOST))
 
 
-@cuda_kernel
-def hide_low(chunks, ground, bed, corner, cell, least, least_outside, geometry_out):
-    """Hide the splats that do not stand on the ground, see `wet_ground_mirror.standing`.
-
-    chunks : int. The first ones, which are looked at.
-    ground : float32 device array (12,). Takes the capture frame to the ground
-        frame [m], as a pose.
-    bed : float32 device array (ny, nx) [m]
-    corner : float32 device array (2,) [m]
-    cell, least, least_outside : float32 [m]
-    geometry_out. Of a `DeviceSplats`.
-    """
-    place = cuda.grid(1)
-    chunk, lane = place // LANES, place % LANES
-    if chunk >= chunks:
-        return
-    at = chunk * (GEOMETRY * LANES) + lane
-    px, py, pz = geometry_out[at], geometry_out[at + LANES], geometry_out[at + 2 * LANES]
-    x = ground[0] * px + ground[1] * py + ground[2] * pz + ground[9]
-    y = ground[3] * px + ground[4] * py + ground[5] * pz + ground[10]
-    z = ground[6] * px + ground[7] * py + ground[8] * pz + ground[11]
-    column, row = (x - corner[0]) / cell, (y - corner[1]) / cell
-    lowest, (ny, nx) = least_outside, bed.shape
-    if column >= 0 and row >= 0 and column < nx and row < ny:
-        lowest = bed[int(row), int(column)] + least
-    if z <= lowest:
-        geometry_out[at + OPACITY * LANES] = FAINT
-
-
 class PosedActors:
     """The actors of a `DeviceSplats`, one moment after another.
 
@@ -145,17 +116,14 @@ class PosedActors:
             np.concatenate([part.harmonics() for part in parts]),
         ))  # fmt: skip
         count, f4 = self._degrees**2, np.float32
-        self._now = FrameUniforms(0, {
+        self._now = FrameUniforms({
             "there": ((used,), np.int32), "poses": ((len(parts), POSE), f4),
             "mixing": ((len(parts), count, count), f4),
         })  # fmt: skip
         self._used, self._room = used, room
 
-    def put(self, poses, stream=0):
-        """Queue the putting of actors at their poses, None of those that are away.
-
-        The device must draw nothing meanwhile. Without a stream this waits.
-        """
+    def put(self, poses):
+        """Queue the putting of actors at their poses, None of those that are away."""
         splats, used, now = self._splats, self._used, self._now
         shown = np.array([pose is not None for pose in poses] or [False] * len(self._turning))
         rows = np.zeros((len(shown), POSE), np.float32)
@@ -168,20 +136,11 @@ class PosedActors:
                     mixing[k, band, band] = each
         there = np.where(shown[self._owner], self._owner, -1)
         now.update(there=there, poses=rows, mixing=mixing)
-        now.send(stream)
-        pose_splats[-(-used * LANES // THREADS), THREADS, stream](
+        now.send()
+        pose_splats[-(-used * LANES // THREADS), THREADS](
             now["there"], now["poses"], now["mixing"], *self._data, splats.groups,
             splats.box, splats.span, splats.geometry, splats.sh,
         )  # fmt: skip
-        if stream == 0:
-            cuda.synchronize()
-
-    def hide(self, ground, bed, place, least, least_outside, stream):
-        """Queue the hiding of what does not stand on the ground, see `hide_low`; `put` shows it."""
-        (corner, cell), used = place, self._used
-        hide_low[-(-used * LANES // THREADS), THREADS, stream](
-            used, ground, bed, corner, cell, least, least_outside, self._splats.geometry
-        )
 
     def order(self, static, shown, first):
         """Return the numbers of all places' splats, those of the static set behind the actors'.

@@ -2,8 +2,7 @@
 
 The static set is sent once, and so are the actors, which `merged` puts into the room before it,
 moment by moment. Those whose colours change are sent for each moment, as
-`rainsim.splatting.merged` has them on the host. The room's other chunks are never drawn. So no
-address changes, and recorded queues stay as they are.
+`rainsim.splatting.merged` has them on the host. The room's other chunks are never drawn.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from rainsim.cuda.jit import cuda
 from rainsim.cuda.splatting import project
 from rainsim.cuda.splatting.merged import PosedActors, clean
 from rainsim.errors import ParameterError
+from rainsim.shading.wet_ground_mirror import as_in_level_picture
 from rainsim.splatting.prepared import GEOMETRY, LANES, OPACITY, prepare
 
 CHUNKS_AT_ONCE = 4096  # of colours that are converted and sent together
@@ -31,11 +31,7 @@ class DeviceSplats:
     count : int. Splats, at most.
     rank : int32 device array (chunks,). The order in which splats of one depth
         are taken.
-    version : int. Of the arrays, see `cuda.graph.new_version`; 0: they are never
-        replaced.
     """
-
-    version = 0
 
     def __init__(self, prepared, room=0):
         self.room, self.static = room, len(prepared.box)
@@ -75,7 +71,7 @@ class DeviceSplats:
         return np.concatenate([np.full((self.room, *rows.shape[1:]), value, rows.dtype), rows])
 
     def send_colors(self, prepared):
-        """Send the static set's harmonics of `prepared`; the device must draw nothing meanwhile."""
+        """Send the static set's harmonics of `prepared`."""
         self._send_harmonics(prepared, self.static, self.room)
 
     def _send_harmonics(self, prepared, count, place):
@@ -88,7 +84,7 @@ class DeviceSplats:
             self.sh[at : at + halves.size].copy_to_device(halves)
 
     def put_actors(self, merged):
-        """Send the actors of a merged set; the device must draw nothing meanwhile.
+        """Send the actors of a merged set.
 
         merged : PreparedSplats. Of `splatting.merged.Merger`: chunks of actors,
             then those of the static set, which are on the device already.
@@ -103,18 +99,17 @@ class DeviceSplats:
         self.show_room(np.arange(room) >= first)
         self._order, self._first = lambda: merged.order, first
 
-    def pose_actors(self, actors, stream=0):
-        """Put the actors of an `ActorSplats` where they are; the device must draw nothing.
-
-        Without a stream this waits.
-        """
+    def pose_actors(self, actors, level=None):
+        """Put the actors of an `ActorSplats` where they are, see `rainsim.raster.Rasterizer`."""
         if not actors.rigid:
-            self.put_actors(actors.merged())
+            self.put_actors(actors.merged() if level is None else actors.standing(*level))
             return
         if self._posed is None:
             parts = [prepare(actor.splats) for actor in actors.actors]
+            if level is not None:
+                parts = [as_in_level_picture(part, level[1]) for part in parts]
             self._posed = PosedActors(self, parts, [actor.turning for actor in actors.actors])
-        self._posed.put(actors.poses, stream)
+        self._posed.put(actors.poses)
         shown = [pose is not None for pose in actors.poses]
         self._order, self._first = lambda: self._posed.order(self._static, shown, actors.first), 0
 

@@ -51,7 +51,6 @@ SPLAT_BITS = 28
 SPLAT_MASK = np.int64((1 << SPLAT_BITS) - 1)
 MOST_SPLATS = 1 << SPLAT_BITS
 WIDE = np.float64
-FREE = np.uint32(0xFFFFFFFF)  # a key behind all others
 OCTAVES = 20  # of depth beyond the scene's reach that levels tell apart
 FAR_SHARE = 0.1  # of the levels that they get
 FAR_TO_OFFSET = 256  # far depth over the offset within which levels lie evenly
@@ -68,10 +67,12 @@ VIEW, EYE, LENS, PLANE, NEAR, LIMITS, SCALE, REST, CAMERA = 0, 12, 16, 20, 24, 2
 
 @cuda_kernel
 def start(
-    box, span, around, view, lens, size, near, plane, orthographic, seen_out, key_out, range_out,
-    total,
+    chunks, box, span, around, view, lens, size, near, plane, orthographic, seen_out, begin_out,
+    end_out, total_out,
 ):  # fmt: skip
-    """Empty the lists of the frame before; mark the chunks that may touch the picture.
+    """Empty the lists of the picture before; mark the chunks that may touch the picture.
+
+    chunks : int. Of which the others are left out.
 
     box, span, around : device array of shape (chunks, 6), (chunks, 2) and
         (chunks, 6), float32. `box`, `span` and `reach` of the prepared splats.
@@ -79,17 +80,15 @@ def start(
         4), lens, width and height, the four from NEAR on, plane.
     orthographic : bool
     seen_out : bool device array (chunks,)
-    key_out, range_out, total : device array. The lists.
+    begin_out, end_out : int32 device array (tiles,)
+    total_out : int32 device array (1,)
     """
     i = cuda.grid(1)
     if i == 0:
-        total[0] = 0
-    step = cuda.gridsize(1)
-    for k in range(i, key_out.size, step):
-        key_out[k] = FREE
-    for k in range(i, range_out.size, step):
-        range_out[k] = 0
-    if i < seen_out.size:
+        total_out[0] = 0
+    if i < begin_out.size:
+        begin_out[i], end_out[i] = 0, 0
+    if i < chunks:
         frustum = Frustum(view, lens, size, near[0], plane, orthographic)
         drawn = is_drawn(span[i], around[i], frustum, near[3])
         seen_out[i] = drawn and not chunk_is_out(box[i], frustum)
@@ -350,7 +349,7 @@ def comes_before(splat, other, rank):
 
 
 @cuda_kernel
-def find_ranges(total, levels, key, value, record, rank, begin_out, end_out, value_out):
+def find_ranges(n, levels, key, value, record, rank, begin_out, end_out, value_out):
     """Find where each tile's entries lie, and put entries of one key in order.
 
     Keys hold a rounded depth. Among entries of one key the whole depth decides, then the rank of
@@ -359,7 +358,6 @@ def find_ranges(total, levels, key, value, record, rank, begin_out, end_out, val
     of one key in a tile.
     """
     i = cuda.grid(1)
-    n = min(np.int64(total[0]), key.size)
     if i >= n:
         return
     mine = key[i]

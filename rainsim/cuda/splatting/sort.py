@@ -19,35 +19,24 @@ from rainsim.cuda.jit import SIMULATED
 from rainsim.jit import KERNELS
 
 
-def sorter(lists, stream, workspace):
-    """Return sort(), which queues the sort of keys and values into the arrays that follow them."""
+def sort_pairs(key, value, key_out, value_out, count, workspace):
+    """Queue the sort of the first `count` keys and values into the arrays that follow them.
+
+    workspace : rainsim.cuda.raster.Workspace
+    """
     if SIMULATED:
-        return functools.partial(_sort_on_host, *lists)
-    return _Sorter(*lists, stream, workspace)
-
-
-def _sort_on_host(key, value, key_out, value_out):
-    """Sort as `_Sorter` does, in the simulator, which has no such library."""
-    order = np.argsort(key.copy_to_host(), kind="stable")
-    for array, array_out in ((key, key_out), (value, value_out)):
-        array_out.copy_to_device(array.copy_to_host()[order])
-
-
-class _Sorter:
-    """cuda.compute's radix sort of a fixed number of pairs, with memory of the workspace."""
-
-    def __init__(self, key, value, key_out, value_out, stream, workspace):
-        self._sort = RADIX_SORT.load(key.dtype, value.dtype)
-        self._options = {
-            "d_in_keys": key, "d_out_keys": key_out, "d_in_values": value,
-            "d_out_values": value_out, "num_items": len(key), "begin_bit": 0, "end_bit": 32,
-        }  # fmt: skip
-        self._stream = stream
-        size = self._sort(temp_storage=None, stream=stream, **self._options)
-        self._memory = workspace.memory(max(1, int(size)))
-
-    def __call__(self):
-        self._sort(temp_storage=self._memory, stream=self._stream, **self._options)
+        order = np.argsort(key.copy_to_host()[:count], kind="stable")
+        for array, array_out in ((key, key_out), (value, value_out)):
+            array_out[:count].copy_to_device(array.copy_to_host()[:count][order])
+        return
+    sort = RADIX_SORT.load(key.dtype, value.dtype)
+    options = {
+        "d_in_keys": key, "d_out_keys": key_out, "d_in_values": value, "d_out_values": value_out,
+        "num_items": count, "begin_bit": 0, "end_bit": 32, "stream": None,
+    }  # fmt: skip
+    size = int(sort(temp_storage=None, **options))
+    (memory,) = workspace.take("to sort with", max(size, 1), (1, np.uint8))
+    sort(temp_storage=memory, **options)
 
 
 class _Typed:

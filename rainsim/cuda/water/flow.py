@@ -1,14 +1,13 @@
-"""The scheme "lean" on a CUDA device: twin of `rainsim.water.lean` and of the solver's step.
+"""The scheme "lean" on a CUDA device: twin of `rainsim.water.lean` and of the flow's measures.
 
-A step is one launch: flux, new depth, momentum, friction, rain and infiltration, ghost cells and
-the account. A thread marches up a column of cells and keeps the numbers that the next row needs in
-registers. The launch before has decided how long the step is (see `step_control.plan`); a launch
-for which no time is left returns at once.
+A step is one launch: flux, new depth, momentum, friction and ghost cells. A thread marches up a
+column of cells and keeps the numbers that the next row needs in registers. Each block writes its
+largest speeds and what left through open edges, which the host puts together.
 
-All fields are flat, ny + 1 rows of `step_control.pitch` numbers, with the `PAD` ghost cells of
+All fields are flat, ny + 1 rows of `pitch` numbers, with the `PAD` ghost cells of
 `rainsim.water.conserving` in ny and nx and room for the last faces. Depth and velocity are kept
-twice; `state[PARITY]` is the number of the present copy. Ghost cells never change: water only
-leaves through the edges, so the upwind cell lies inside. The faces of walls stay 0.
+twice; `parity` is the number of the present copy. Ghost cells never change: water only leaves
+through the edges, so the upwind cell lies inside. The faces of walls stay 0.
 """
 
 from __future__ import annotations
@@ -18,59 +17,36 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import QUARTER, ZERO
-from rainsim.cuda.jit import SIMULATED, cuda, tight_kernel
+from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel, tight_kernel
+from rainsim.cuda.scalars import float_of
 from rainsim.cuda.warp import raise_to
-from rainsim.cuda.water.step_control import (
-    CAP,
-    DEEPEST,
-    EAST,
-    EDGES_OPEN,
-    FLOOR,
-    GRAVITY,
-    HIGHEST,
-    LAST,
-    LEAD,
-    MOVE,
-    NORTH,
-    P_DRAINED,
-    P_DRUNK,
-    P_FILM,
-    P_GROUND,
-    P_OUT,
-    PARITY,
-    PUSH,
-    RATE,
-    REACH,
-    REACH_NOW,
-    RUBS,
-    RUNS,
-    SOUTH,
-    SPACING,
-    SWIFT,
-    SWIFT_NOW,
-    TAKE,
-    THREADS,
-    TICKET,
-    UNSOUND,
-    VISCOSITY,
-    WEST,
-    block_sum,
-    is_last_block,
-    known,
-    plan,
-    raise_cap,
-    raised,
-)
-from rainsim.grid import MAX_SPEED
+from rainsim.water.bundles import FrictionNumbers, Ground, StepNumbers
 from rainsim.water.conserving import PAD, depth_over_step, speed_out, wave_speed
 from rainsim.water.friction import slowed
+from rainsim.water.inputs import EDGES
 from rainsim.water.lean import accelerated, upwind_flux, upwind_gain
-from rainsim.water.sources import infiltrate_and_fill
 
+THREADS = 32 if SIMULATED else 128  # of a block of `step`: columns
 ROWS = 8, 64  # of cells that a thread marches through: fewest, most
 BELOW = 3  # rows in time that a thread needs before its first one
 RESIDENT = 5  # blocks of `step` that a multiprocessor holds
-_ONE, _TWO = np.uint64(1), np.uint64(2)
+STRIPE = 8  # cells that a thread of `measure` or of the sources looks at
+# Threads of a block of the kernels that treat each cell alone.
+SIDE, HEIGHT, SQUARE = (8, 4, 32) if SIMULATED else (32, 8, 256)
+LEAD = 32 - PAD  # floats before a row, so that the first cell begins a line of memory
+UNIT = 2.0**-50  # m: drops wait as whole numbers of it, so that their order does not matter
+WEST, EAST, SOUTH, NORTH = 1, 2, 4, 8  # bits of `kinds`: which edges are open
+EDGES_OPEN, RUBS = 15, 16  # all of these, and the bit of friction
+assert EDGES == ("west", "east", "south", "north")  # the order of these bits
+# What each block finds, float64: rows of the arrays that `step` and `measure` write.
+FAR, FAST, OUT = range(3)
+SWIFT, DEEPEST, FALL, HIGHEST = range(4)
+_NEXT, _ONE, _TWO = np.uint64(1), np.uint64(1), np.uint64(2)
+
+
+def pitch(nx):
+    """Return the floats from one row of a map to the next: nx cells with ghosts, a face, a lead."""
+    return -(-(LEAD + nx + 1) // 32) * 32
 
 
 def rows_for(ny, wide):
@@ -86,24 +62,6 @@ def rows_for(ny, wide):
         range(ROWS[0], ROWS[1] + 1),
         key=lambda rows: -(-wide * -(-ny // rows) // room) * (rows + BELOW),
     )
-
-
-class Maps(NamedTuple):
-    """Maps of the ground: device arrays of shape (cells,), float32.
-
-    bed : [m]
-    roughness : [s2 m^(-2/3)]. Square of Manning's n.
-    exposure : Share of the rain that falls here.
-    infiltration : [m/s]. Rate that the ground takes; negative: rate that a drain
-        takes.
-    storage : [m]. Depth held back.
-    """
-
-    bed: object
-    roughness: object
-    exposure: object
-    infiltration: object
-    storage: object
 
 
 class Layout(NamedTuple):
@@ -123,12 +81,40 @@ class Layout(NamedTuple):
     kinds: int
 
 
-class Limits(NamedTuple):
-    """Gravity [m/s2], the rounding of levels and the depth [m] below which water does not flow."""
+def layout_of(shape, edge_is_open, rubs):
+    """Return the `Layout` of maps of a shape, ghosts included."""
+    ny, nx = shape
+    kinds = sum(1 << k for k, is_open in enumerate(edge_is_open) if is_open) + RUBS * rubs
+    rows = rows_for(ny - 2 * PAD, -(-(nx - 2 * PAD) // THREADS))
+    return Layout(ny, nx, pitch(nx), rows, int(kinds))
 
-    gravity: np.float32
-    rounding: np.float32
-    dry: np.float32
+
+def blocks_of_columns(layout):
+    """Return the blocks of THREADS threads that take the columns of cells."""
+    ny, nx = layout.ny - 2 * PAD, layout.nx - 2 * PAD
+    return -(-nx // THREADS), -(-ny // layout.rows)
+
+
+def blocks_of_cells(layout):
+    """Return the blocks of (SIDE, HEIGHT) threads that take STRIPE cells of a column each."""
+    ny, nx = layout.ny - 2 * PAD, layout.nx - 2 * PAD
+    return -(-nx // SIDE), -(-ny // (HEIGHT * STRIPE))
+
+
+@cuda.jit(device=True)
+def block_sum(room, lane, value):
+    """Sum `value` over the threads of a block, always in the same order."""
+    room[lane] = value
+    cuda.syncthreads()
+    n = room.shape[0] // 2
+    while n > 0:
+        if lane < n:
+            room[lane] += room[lane + n]
+        cuda.syncthreads()
+        n //= 2
+    total = room[0]
+    cuda.syncthreads()
+    return total
 
 
 @cuda.jit(device=True)
@@ -140,42 +126,32 @@ def _moved(place, by):
 # long: a thread's march keeps some forty numbers in registers from row to row
 @tight_kernel
 def step(
-    control, state, now, numbers, maps: Maps, layout: Layout, limits: Limits,
-    w_out, remainder_out, film_out, depth_out, partial_out,
+    ground: Ground, layout: Layout, numbers: StepNumbers, friction: FrictionNumbers, parity,
+    w_out, found_out,
 ):  # fmt: skip
-    """Advance depth from n to n+1, velocity from n+1/2 to n+3/2; then rain and infiltration.
+    """Advance depth from n to n+1, velocity from n+1/2 to n+3/2.
 
-    control, state, now, numbers. See the module's constants; the first two are
-        modified.
+    ground : Ground. Of flat device arrays.
+    parity : int. Of the copy that is read; the other one is written.
     w_out : float32 device array (2 * 3 * cells,). Both copies of depth [m] and of
         the velocities of west and south faces [m/s].
-    remainder_out, film_out : device arrays of shape (cells,), float32 [m]
-    depth_out : float32 device array (ny - 4, nx - 4) [m]. Depth above the bed,
-        film included; written by the last step of a frame.
-    partial_out : float64 device array (PARTIAL, blocks). Sums of each block over
-        the frame.
+    found_out : float64 device array (3, blocks). Largest speeds [m/s] of waves and
+        of faces, and the flux [m2/s] out of open edges, summed.
     """
-    if state[RUNS] == 0:
-        return
-    bed, roughness = maps.bed, maps.roughness
+    bed, roughness = ground.bed, ground.roughness
     ny, nx, pitch, rows, kinds = layout
-    gravity, rounding, dry = limits
+    k, kg, gravity, cap = numbers.k, numbers.kg, numbers.gravity, numbers.cap
+    rounding, dry, drag, laminar = numbers.rounding, numbers.dry, friction.drag, friction.laminar
     rubs = kinds & RUBS != 0  # the same for all threads: without it nothing of friction is done
-    tops = cuda.shared.array(4, np.int32)
+    tops = cuda.shared.array(2, np.int32)
     room = cuda.shared.array(THREADS, np.float64)
     through = cuda.shared.array(THREADS, np.float64)  # there, not in registers: few add to it
     lane = cuda.threadIdx.x
-    if lane < 4:
+    if lane < 2:
         tops[lane] = 0
     through[lane] = 0.0
     cuda.syncthreads()
-    p, is_last = state[PARITY], state[LAST] == 1
-    move, push, wets = control[MOVE], control[PUSH], control[TAKE] >= 0.0
-    k = np.float32(move / numbers[SPACING])
-    kg = np.float32(numbers[GRAVITY] * push / numbers[SPACING])
-    drag = np.float32(numbers[GRAVITY] * push)
-    laminar = np.float32(3.0 * numbers[VISCOSITY] * push)
-    cap = np.float32(control[CAP])
+    p = parity
     # Numbers of 32 bit and offsets that have no sign: a third of all instructions were indices.
     i, last_column = np.int32(cuda.blockIdx.x * THREADS + lane + PAD), np.int32(nx - PAD - 1)
     first = np.int32(cuda.blockIdx.y * rows + PAD)
@@ -256,23 +232,21 @@ def step(
                 w_out[_moved(place, to_h_out)] = d
                 if rim:
                     passed = 0.0
-                    if i == PAD:
+                    if i == PAD and kinds & WEST:
                         passed -= np.float64(q_c)
                     if i == PAD + 1 and kinds & WEST:
                         w_out[_moved(place, to_u_out) - _ONE] = -speed_out(-x, -u_c, -u_e, -t_c)
-                    if i == last_column:
+                    if i == last_column and kinds & EAST:
                         passed += np.float64(q_e)
-                        if kinds & EAST:
-                            w_out[_moved(place, to_u_out) + _ONE] = speed_out(x, u_c, u_w, t_c)
-                    if lowest and row == 1:
+                        w_out[_moved(place, to_u_out) + _ONE] = speed_out(x, u_c, u_w, t_c)
+                    if lowest and row == 1 and kinds & SOUTH:
                         passed -= np.float64(q_s)
                     if lowest and row == 2 and kinds & SOUTH:
                         south_v = _moved(place, np.uint32(to_v_out - wide))
                         w_out[south_v] = -speed_out(-y, -v_c, -v_n, -t_s)
-                    if highest and left == 0:
+                    if highest and left == 0 and kinds & NORTH:
                         passed += np.float64(q_n)
-                        if kinds & NORTH:
-                            w_out[_moved(above, to_v_out)] = speed_out(y, v_c, v_s, t_s)
+                        w_out[_moved(above, to_v_out)] = speed_out(y, v_c, v_s, t_s)
                     through[lane] += passed
             d_s, e_s, r_s, q_ss, q_cs, q_es, u_s, u_es = d, e, r_c, q_s, q_c, q_e, u_c, u_e
             t_s = t_n
@@ -282,96 +256,71 @@ def step(
             row, left = np.int32(row + 1), np.int32(left - 1)
     raise_to(tops, 0, far)
     raise_to(tops, 1, fast)
-    block = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x
+    block, out = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x, 0.0
     edge = first == PAD or end == ny - PAD or cuda.blockIdx.x == 0
     if kinds & EDGES_OPEN != 0 and (edge or cuda.blockIdx.x == cuda.gridDim.x - 1):
-        out = block_sum(room, lane, through[lane] * move)
-        if lane == 0:
-            partial_out[P_OUT, block] += out
-    if wets or is_last:
-        infiltrated, drained, ground, held = 0.0, 0.0, 0.0, 0.0
-        if i < nx - PAD:
-            infiltrated, drained, ground, held = _apply_sources(
-                control, now, maps, first, end, i, pitch, 3 * (1 - p) * (ny + 1) * pitch, dry,
-                wets, w_out, remainder_out, film_out, depth_out,
-            )  # fmt: skip
-        infiltrated, drained = block_sum(room, lane, infiltrated), block_sum(room, lane, drained)
-        ground, held = block_sum(room, lane, ground), block_sum(room, lane, held)
-        if lane == 0:
-            partial_out[P_DRUNK, block] += infiltrated
-            partial_out[P_DRAINED, block] += drained
-            partial_out[P_GROUND, block] = ground
-            partial_out[P_FILM, block] = held
-    from_rest = wets and control[SWIFT_NOW] == 0.0
-    if from_rest:  # the cap of dry ground would hold what fell on it
-        deepest, highest = ZERO, ZERO
-        if i < nx - PAD:
-            floor = np.float32(numbers[FLOOR])
-            for j in range(first, end):
-                at = np.uint64(j * pitch + i + LEAD)
-                here = w_out[np.uint64(3 * (1 - p) * (ny + 1) * pitch) + at]
-                deepest = max(deepest, here)
-                if here > ZERO:
-                    highest = max(highest, bed[at] + here - floor)
-        raise_to(tops, 2, deepest)
-        raise_to(tops, 3, highest)
+        out = block_sum(room, lane, through[lane])
     cuda.syncthreads()
-    if lane > 0:
-        return
-    planned = known(control, state, now, numbers)
-    cuda.atomic.max(state, REACH, tops[0])
-    cuda.atomic.max(state, SWIFT, tops[1])
-    if from_rest:
-        cuda.atomic.max(state, DEEPEST, tops[2])
-        cuda.atomic.max(state, HIGHEST, tops[3])
-    if is_last_block(state):
-        waves, water = raised(state, REACH), raised(state, SWIFT)
-        state[TICKET], state[PARITY] = 0, 1 - p
-        control[REACH_NOW], control[SWIFT_NOW] = waves, water
-        if from_rest:
-            depth, level = raised(state, DEEPEST), raised(state, HIGHEST)
-            raise_cap(control, numbers[GRAVITY], depth, level)
-        if not waves <= MAX_SPEED:
-            state[UNSOUND] = 1
-        plan(control, state, planned, waves, water)
+    if lane == 0:
+        found_out[FAR, block] = np.float64(float_of(tops[0]))
+        found_out[FAST, block] = np.float64(float_of(tops[1]))
+        found_out[OUT, block] = out
 
 
 @cuda.jit(device=True)
-def _apply_sources(
-    control, now, maps, first, end, i, pitch, base, dry, wets,
-    w_out, remainder_out, film_out, depth_out,
-):  # fmt: skip
-    """Add rain and take losses in a thread's cells, as `water.sources.apply_sources`.
+def _fall(here, level, there, bed_there):
+    """Return how far water may fall between two cells [m]."""
+    drop = level - (bed_there + there)
+    fall = drop if here > ZERO else ZERO
+    return max(fall, -drop) if there > ZERO else fall
 
-    Returns sums over the cells [m]: taken by the ground, taken by drains, standing as water that
-    can flow, standing as films.
+
+@cuda_kernel
+def measure(w, bed, layout: Layout, parity, lowest, found_out):
+    """Find the maxima that set the first step and the cap.
+
+    w : float32 device array (2 * 3 * cells,). Both copies of depth [m] and face
+        velocities [m/s].
+    bed : float32 device array (cells,) [m]
+    lowest : float32 [m]. Least height of the bed.
+    found_out : float64 device array (4, blocks). Of each block the largest speed
+        of a face [m/s], depth, fall between two cells and height above the lowest
+        bed [m].
     """
-    exposure, infiltration, storage = maps.exposure, maps.infiltration, maps.storage
-    take, rate = control[TAKE], np.float32(now[RATE])
-    infiltrated, drained, ground, held_sum = 0.0, 0.0, 0.0, 0.0
-    for j in range(first, end):
-        at = np.uint64(j * pitch + i + LEAD)
-        here = np.uint64(base) + at
-        value, remainder, kept = w_out[here], remainder_out[at], film_out[at]
-        if wets:
-            film = np.float64(kept)
-            free = (
-                np.float64(value) + np.float64(remainder) + take * np.float64(rate * exposure[at])
-            )
-            loss = take * np.float64(infiltration[at])
-            from_free, from_film, held = infiltrate_and_fill(
-                free, film, max(loss, 0.0), np.float64(storage[at])
-            )
-            infiltrated += from_free + from_film
-            kept = np.float32(film - from_film + held)
-            free -= from_free + (np.float64(kept) - (film - from_film))
-            stays = free - min(-loss, free) if loss < 0.0 else free
-            value = np.float32(stays) if stays >= np.float64(dry) else ZERO
-            remainder = np.float32(stays - np.float64(value))
-            if loss < 0.0:
-                drained += free - np.float64(value) - np.float64(remainder)
-            w_out[here], remainder_out[at], film_out[at] = value, remainder, kept
-        ground += np.float64(value) + np.float64(remainder)
-        held_sum += np.float64(kept)
-        depth_out[j - PAD, i - PAD] = kept + (value + remainder)
-    return infiltrated, drained, ground, held_sum
+    ny, nx, wide = layout.ny, layout.nx, layout.pitch
+    tops = cuda.shared.array(4, np.int32)
+    lane = cuda.threadIdx.y * SIDE + cuda.threadIdx.x
+    if lane < 4:
+        tops[lane] = 0
+    cuda.syncthreads()
+    i = cuda.blockIdx.x * SIDE + cuda.threadIdx.x + PAD
+    first = (cuda.blockIdx.y * HEIGHT + cuda.threadIdx.y) * STRIPE + PAD
+    row, plane = np.uint64(wide), (ny + 1) * wide
+    swift, deepest, fall, highest = ZERO, ZERO, ZERO, ZERO
+    if i < nx - PAD and first < ny - PAD:
+        h = w[parity * 3 * plane :]
+        u, v = h[plane:], h[2 * plane :]
+        at = np.uint64(first * wide + i + LEAD)
+        here, floor, has_east = h[at], bed[at], i + 1 < nx - PAD
+        swift = abs(v[at])
+        for j in range(first, min(first + STRIPE, ny - PAD)):
+            level, below = floor + here, here
+            deepest = max(deepest, here)
+            if here > ZERO:
+                highest = max(highest, level - lowest)
+            if has_east:
+                fall = max(fall, _fall(here, level, h[at + _NEXT], bed[at + _NEXT]))
+            swift = max(swift, max(abs(u[at]), abs(u[at + _NEXT])))
+            at += row
+            here, floor = h[at], bed[at]
+            swift = max(swift, abs(v[at]))
+            if j + 1 < ny - PAD:
+                fall = max(fall, _fall(below, level, here, floor))
+    raise_to(tops, 0, swift)
+    raise_to(tops, 1, deepest)
+    raise_to(tops, 2, fall)
+    raise_to(tops, 3, highest)
+    cuda.syncthreads()
+    if lane < 4:
+        block = cuda.blockIdx.y * cuda.gridDim.x + cuda.blockIdx.x
+        found_out[lane, block] = np.float64(float_of(tops[lane]))

@@ -13,12 +13,11 @@ import math
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.cuda.driver import Event, to_device
-from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.driver import SentRows
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
-from rainsim.cuda.rain.settling import PUSH_UNIT, RippleTile
+from rainsim.cuda.rain.settling import PUSH_UNIT, RippleTile, ring_each
 from rainsim.errors import ParameterError
-from rainsim.reflection.slope_moments import MOMENTS, mean_of_four, place_of
+from rainsim.reflection.slope_moments import MOMENTS, mean_of_four, place_of, ripple_moments
 from rainsim.water.ripples import _LONGEST_STEP, SIZES
 
 MOST = 256  # cells along a side of the tile
@@ -185,7 +184,6 @@ class Ripples:
 
     tile : RippleTile. Its state is copied and it is left alone.
     duration : float [s]. From one frame to the next.
-    stream : cuda.stream
     share : float. See `let_ring`.
     tile : settling.RippleTile. Its `steps` are the parts of the interval in which
         impacts are put together.
@@ -193,11 +191,11 @@ class Ripples:
         `settling.PUSH_UNIT`: for each size of drops and each part a map of
         (cells, cells), one after the other.
     moments : float32 device array (n, n + n // 2, MOMENTS). Of slopes and
-        heights, see `rainsim.reflection.slope_moments`.
+        heights, see `rainsim.reflection.slope_moments`; of the last `advance`.
     Raises ParameterError if the tile's cells are no power of two or too many.
     """
 
-    def __init__(self, tile, duration, stream=0, share=1.0):
+    def __init__(self, tile, duration, share=1.0):
         n = tile.cells
         if n & (n - 1) or not 8 <= n <= MOST:
             raise ParameterError(
@@ -205,10 +203,7 @@ class Ripples:
                 f"to {MOST}"
             )
         steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
-        self._now = FrameUniforms(stream, {"share": ((1,), np.float64)})
-        self.stream, self.tile = stream, RippleTile(tile.size, steps, n, self._now["share"])
-        self.let_ring(share)
-        self.send(stream)
+        self.tile = RippleTile(tile.size, steps, n, float(share))
         self._maps = SIZES * ((steps + 1) // 2)
         step = duration / steps
         shrink, angle = np.exp(-tile._damping * step), tile._omega * step
@@ -220,62 +215,51 @@ class Ripples:
             np.sin(around),
         )  # fmt: skip
         tables = [np.ascontiguousarray(t, dtype=np.float32).reshape(-1) for t in tables]
-        *self._turn, self._cosines, self._sines = (to_device(t, stream) for t in tables)
+        *self._turn, self._cosines, self._sines = map(cuda.to_device, tables)
         parts = tile._eta.real, tile._eta.imag, tile._lag.real, tile._lag.imag
         waves = np.stack([part.reshape(-1) for part in parts]).astype(np.float32)
-        self._waves = to_device(waves, stream)
-        self.pushes = to_device(np.zeros(2 * self._maps * n * n, np.int64), stream)
-        maps = np.zeros(self._maps * n * n, np.float32)
-        self._maps_on_device = [to_device(maps, stream) for _ in range(4)]
-        flat = np.zeros((2, n, n), np.float32)
-        self._surface = to_device(flat, stream), to_device(flat, stream)
-        empty = np.zeros((n, n + n // 2, MOMENTS), np.float32)
-        self.pages = [to_device(empty, stream) for _ in range(2)]
-        self._forked, self._joined = Event(), Event()
-        self.turn_page(0)
+        self._waves = cuda.to_device(waves)
+        self._drops = SentRows((4,), np.float64)
+        self.pushes = cuda.to_device(np.zeros(2 * self._maps * n * n, np.int64))
+        maps, flat = np.zeros(self._maps * n * n, np.float32), np.zeros((2, n, n), np.float32)
+        self._maps_on_device = [cuda.to_device(maps) for _ in range(4)]
+        self._surface = cuda.to_device(flat), cuda.to_device(flat)
+        self.moments = cuda.to_device(ripple_moments(tile.slopes()))
 
     def let_ring(self, share):
-        """Let a share of the drops on the ground ring on the tile, from `send` on."""
-        self._now.update(share=share)
+        """Let a share of the drops on the ground ring on the tile."""
+        self.tile = self.tile._replace(share=float(share))
 
-    def send(self, stream):
-        """Queue the sending of what `let_ring` has set, on a stream on which drops come down."""
-        self._now.send(stream)
+    def ring(self, position, momentum, age):
+        """Queue the ringing of drops of the host.
 
-    def turn_page(self, page):
-        """Let the next frame's moments be that array of `pages`, so that the last ones stay."""
-        self.moments = self.pages[page]
+        position : array (n, 2) [m]
+        momentum : array (n,) [kg m/s]
+        age : array (n,). Time since they came down over that of the frame.
+        """
+        if len(age):
+            count, drops = len(age), self._drops.send(np.column_stack([position, momentum, age]))
+            ring_each[-(-count // THREADS), THREADS](count, drops, self.tile, self.pushes)
 
-    def fork(self, stream):
-        """Queue a frame beside what is queued on another stream from now on, until `join`."""
-        self._forked.record(stream)
-        self._forked.wait(self.stream)
-        self.launch()
-        self._joined.record(self.stream)
-
-    def join(self, stream):
-        """Let another stream wait for the frame."""
-        self._joined.wait(stream)
-
-    def launch(self):
+    def advance(self):
         """Queue a frame of ripples: waves advance, new drops excite rings, slope moments follow."""
         n, re, im, other_re, other_im = self.tile.cells, *self._maps_on_device
         tables = self._cosines, self._sines, n
         rows = n, self._maps
-        transform_pushes[rows, n // 2, self.stream](self.pushes, *tables, re, im)
+        transform_pushes[rows, n // 2](self.pushes, *tables, re, im)
         forth, back = -ONE, ONE
-        transform[rows, n // 2, self.stream](re, im, *tables, forth, other_re, other_im)
+        transform[rows, n // 2](re, im, *tables, forth, other_re, other_im)
         blocks = -(-n * (n // 2 + 1) // THREADS)
-        turn[blocks, THREADS, self.stream](
+        turn[blocks, THREADS](
             other_re, other_im, self.tile.steps, n, np.float32(1 / self.tile.size), *self._turn,
             self._waves, re, im,
         )  # fmt: skip
         both, surface = (n, 2), [part.reshape(2 * n * n) for part in self._surface]
-        transform[both, n // 2, self.stream](re, im, *tables, back, other_re, other_im)
-        transform[both, n // 2, self.stream](other_re, other_im, *tables, back, *surface)
-        lay_moments[_cells(n), CELLS, self.stream](*self._surface, self.moments)
+        transform[both, n // 2](re, im, *tables, back, other_re, other_im)
+        transform[both, n // 2](other_re, other_im, *tables, back, *surface)
+        lay_moments[_cells(n), CELLS](*self._surface, self.moments)
         for level in range(1, n.bit_length()):
-            halve_moments[_cells(n >> level), CELLS, self.stream](level, self.moments)
+            halve_moments[_cells(n >> level), CELLS](level, self.moments)
 
 
 def _cells(n):
