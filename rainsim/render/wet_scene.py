@@ -66,7 +66,8 @@ class WetScene:
         self.config, self.frame = config, scene.ground_frame
         found = None if scene.source is None else kept_surface(scene)  # generated ones have none
         own_sky = sky_of(scene, found)
-        backdrop = Backdrop(scene, own_sky, replaces_sky(config))
+        unveiled = None if found is None else found.unveiled
+        backdrop = Backdrop(scene, own_sky, replaces_sky(config), unveiled)
         self.scene = backdrop.scene
         self._albedo, about_albedo = albedo_of_white(
             terrain, self.scene.splats, config.render.ground_albedo
