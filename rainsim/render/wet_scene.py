@@ -70,14 +70,14 @@ class WetScene:
         backdrop = Backdrop(scene, own_sky, replaces_sky(config), unveiled)
         self.scene = backdrop.scene
         self._albedo, about_albedo = albedo_of_white(
-            terrain, self.scene.splats, config.render.ground_albedo
+            terrain, self.scene, config.render.ground_albedo
         )
         relight = kept_relight(scene, config, found, self._albedo)
         self.notes = [note for note in (backdrop.note(), relight.note) if note]
         gain = None if relight.gain is None else relight.gain[backdrop.kept]
         if gain is not None:
             self._albedo, about_albedo = albedo_of_white(
-                terrain, self.scene.splats, config.render.ground_albedo, gain, self.frame
+                terrain, self.scene, config.render.ground_albedo, gain
             )
         views = views_of_splats(self.scene)
         diffuse = None if views is None else views.diffuse
