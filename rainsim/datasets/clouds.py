@@ -42,7 +42,7 @@ class Clouds:
     def __init__(self, scene, terrain, places, sensor, config, user_labels=None):
         self.user_labels = user_labels
         self.terrain, self.lidar = terrain, replace(SENSORS[sensor], rate=AT_ONCE)
-        albedo, _ = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)
+        albedo, _ = albedo_of_white(terrain, scene, config.render.ground_albedo)
         near = scene_in_reach(scene, places, self.lidar.far, self.lidar.divergence)
         self._scanner, self._seed = LidarScanner(near, terrain, albedo), config.rain.seed
 

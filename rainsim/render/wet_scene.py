@@ -66,17 +66,18 @@ class WetScene:
         self.config, self.frame = config, scene.ground_frame
         found = None if scene.source is None else kept_surface(scene)  # generated ones have none
         own_sky = sky_of(scene, found)
-        backdrop = Backdrop(scene, own_sky, replaces_sky(config))
+        unveiled = None if found is None else found.unveiled
+        backdrop = Backdrop(scene, own_sky, replaces_sky(config), unveiled)
         self.scene = backdrop.scene
         self._albedo, about_albedo = albedo_of_white(
-            terrain, self.scene.splats, config.render.ground_albedo
+            terrain, self.scene, config.render.ground_albedo
         )
         relight = kept_relight(scene, config, found, self._albedo)
         self.notes = [note for note in (backdrop.note(), relight.note) if note]
         gain = None if relight.gain is None else relight.gain[backdrop.kept]
         if gain is not None:
             self._albedo, about_albedo = albedo_of_white(
-                terrain, self.scene.splats, config.render.ground_albedo, gain, self.frame
+                terrain, self.scene, config.render.ground_albedo, gain
             )
         views = views_of_splats(self.scene)
         diffuse = None if views is None else views.diffuse

@@ -142,7 +142,7 @@ def scan_rains(
     say(notes) are called.
     """
     terrain = extract_terrain(scene, config, None, tell, say)
-    albedo, note = albedo_of_white(terrain, scene.splats, config.render.ground_albedo)
+    albedo, note = albedo_of_white(terrain, scene, config.render.ground_albedo)
     say([note])
     lidar, pose = SENSORS[sensor], pose_at(camera, height)
     pose = Pose(pose.position, pose.rotation, speed * pose.rotation[:, 0])

@@ -67,13 +67,14 @@ class Backdrop:
     own : bool array (n,). Which splats are its sky, see `sky_of`.
     wanted : bool. Whether another sky is to be seen at any time; if not, nothing
         is taken out.
+    unveiled : surface.unveiled.Unveiled, optional. What its sky hides.
     scene : Scene. Without the splats of its sky; the given scene if they cover
         too little of the sky.
     count : int. Splats left out.
     kept : bool array (n,), or slice. Which splats of the given scene `scene` has.
     """
 
-    def __init__(self, scene, own, wanted):
+    def __init__(self, scene, own, wanted, unveiled=None):
         self.whole, self.scene, self.count, self.kept = scene, scene, 0, slice(None)
         self._seen, self._height = None, LOW_EYE  # the panorama, once it is drawn
         self._own, self._tree = own, None
@@ -84,7 +85,8 @@ class Backdrop:
         if wanted and covered(scene.splats, eye, own) >= sky.LEAST_SKY_SEEN:
             self.count, self._eye = int(own.sum()), eye
             self._sky, self.kept = scene.splats.take(own), ~own
-            self.scene = dataclasses.replace(scene, splats=scene.splats.take(~own))
+            left = scene.splats if unveiled is None else unveiled.of(scene.splats)
+            self.scene = dataclasses.replace(scene, splats=left.take(~own))
 
     def is_sky(self, position):
         """Return which splats at positions (m, 3), of another level of detail, are left out.

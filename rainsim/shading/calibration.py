@@ -23,6 +23,7 @@ from rainsim.terrain.table import class_table
 from rainsim.terrain.types import INFERRED, MEASURED
 
 FLAT_TOP = 0.05  # m over the bed: open ground has nothing on it
+NEAR = 2.0  # cameras' heights from one, within which poor ground surely shows its own colours
 LEAST_AREA = 0.25  # m2 of a class that can be judged
 USUAL, USUAL_SPREAD = 0.85, 1.0  # what is assumed without ground to judge by, and its spread in log
 WHITEST, WHITE_SHARE = 0.85, 99.0  # albedo of the whitest things, and percentile they are found at
@@ -36,7 +37,7 @@ VIEW_FOV, VIEW_SHAPE = 60.0, 1.5  # degrees, width over height: of one for a cap
 LEAST_AWAY = 1.0  # m from it to what it looks at, on the level
 
 
-def albedo_of_white(terrain, splats, ground_albedo=None, gain=None, frame=None):
+def albedo_of_white(terrain, scene, ground_albedo=None, gain=None):
     """Return the albedo that a captured linear colour of 1 stands for, and a note.
 
     The colours of open grass, soil and paving are held against the albedos of their classes, each
@@ -49,15 +50,17 @@ def albedo_of_white(terrain, splats, ground_albedo=None, gain=None, frame=None):
         sun is divided out. What the sun shone on keeps its level then and shade
         gets that level too, so the number is that of relit colours: by captured
         ones the sky would be too dim over ground in the shade.
-    frame : GroundFrame, optional. Of the splats; needed with a gain.
     """
-    light = luminance_of(terrain.color)
+    light, splats = luminance_of(terrain.color), scene.splats
     told = INFERRED if terrain.layer.size else MEASURED  # of poor ground the pictures tell colours
     open_ground = (terrain.source == told) & (terrain.top - terrain.bed < FLAT_TOP)
+    if terrain.layer.size:
+        near = open_ground & _near_cameras(scene, terrain.grid)
+        open_ground = near if near.any() else open_ground
     brighter = 1.0
     if gain is not None:
         brighter = gain @ LUMINANCE_WEIGHTS
-        change = ground_gain(terrain, splats, brighter, frame)
+        change = ground_gain(terrain, splats, brighter, scene.ground_frame)
         light, open_ground = light * change, open_ground & (change > 0)
     if ground_albedo is not None:
         found = float(np.median(light[open_ground])) if open_ground.any() else USUAL
@@ -82,6 +85,19 @@ def albedo_of_white(terrain, splats, ground_albedo=None, gain=None, frame=None):
     scale = min(max(scale, LEAST), MOST)
     by = " and ".join(judged) if judged else "no ground to judge by"
     return scale, f"albedo: {scale:.2f} x captured colour by {by}; --ground-albedo sets it"
+
+
+def _near_cameras(scene, grid):
+    """Return which cells lie near a camera, bool (ny, nx): farther off it may be walls they show.
+
+    Poor ground goes on behind walls, and the pictures' colours are laid on it there, too.
+    """
+    near, (columns, rows) = np.zeros(grid.shape, bool), grid.centres()
+    eyes = [scene.ground_frame.to_ground(camera.position) for camera in scene.cameras]
+    reach = NEAR * np.median([height for _, _, height in eyes]) if eyes else 0.0
+    for x, y, _ in eyes:
+        near[np.ix_(np.abs(rows - y) < reach, np.abs(columns - x) < reach)] = True
+    return near
 
 
 def ground_gain(terrain, splats, gain, frame):
@@ -112,8 +128,7 @@ def calibration_of(scene, terrain):
         radiance of an overcast zenith over that ground, display white being 1;
         `note`, how the albedo was found.
     """
-    splats = Backdrop(scene, sky_of(scene), wanted=True).scene.splats
-    albedo, note = albedo_of_white(terrain, splats)
+    albedo, note = albedo_of_white(terrain, Backdrop(scene, sky_of(scene), wanted=True).scene)
     return {"albedo": albedo, "zenith": zenith_radiance(albedo, DULL_EXPOSURE), "note": note}
 
 

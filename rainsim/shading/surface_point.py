@@ -24,6 +24,7 @@ LEANS = np.float32(0.1)  # the same below which a surface counts as upright
 FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
 LAYER_END = np.float32(2)  # the same over the thickness of a layer of splats about a poor bed
 NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
+STEP, STEPS = np.float32(0.15), 40  # m, and how many, in which a ray to the bed looks for walls
 WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
 TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
 
@@ -37,7 +38,7 @@ class GroundMaps(NamedTuple):
     spacing: np.float32  # m
     bodies: np.ndarray = NO_BODIES  # (ny, nx, 3) or (0, 0, 3) uint8, see `bodies.body_map`
     # How far from a poorly known bed the splats lie that show it, float32 [m], (ny, nx), less than
-    # two rows where it is known; and the most of it. See `on_bed`.
+    # two rows where it is known; and the most of it. Negative: things stand there. See `on_bed`.
     layer: np.ndarray = NO_LAYER
     thickest_layer: np.float32 = ZERO
 
@@ -188,9 +189,16 @@ def on_bed(point, depth, drawn, x, y, z, ground):
     to = (bed - eye_z) / z
     u, v = map_place(eye_x + to * x, eye_y + to * y, ground.origin, ground.spacing)
     to = (bed_at(ground, u, v) - eye_z) / z
+    step, turned_up = STEP / max(math.sqrt(x * x + y * y), np.float32(1e-3)), share
+    for n in range(STEPS):
+        way = depth + np.float32(n) * step
+        if way < to:
+            u, v = map_place(eye_x + way * x, eye_y + way * y, ground.origin, ground.spacing)
+            if layer_at(ground, u, v) < ZERO:  # what stands there hides the ground behind it
+                to, turned_up = way, ZERO
     e = depth + share * (to - depth)
-    nx, ny, nz = (ONE - share) * point.nx, (ONE - share) * point.ny, point.nz
-    nz += share * (ONE - nz)
+    nx, ny, nz = (ONE - turned_up) * point.nx, (ONE - turned_up) * point.ny, point.nz
+    nz += turned_up * (ONE - nz)
     inv = ONE / max(math.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-6))
     place = SurfacePoint(
         eye_x + e * x, eye_y + e * y, eye_z + e * z, nx * inv, ny * inv, nz * inv,

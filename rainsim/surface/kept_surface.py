@@ -18,11 +18,12 @@ from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.ground_picture import ground_picture
 from rainsim.surface.ground_shade import GroundShade, ground_shade
+from rainsim.surface.unveiled import Unveiled, unveiled
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
 from rainsim.surface.wall_parts import laid_on_walls
 
 KIND = "surface"
-SHADE = "shade "  # before the names of what is kept of it
+SHADE, BARED = "shade ", "unveiled "  # before the names of what is kept of them
 FEWEST = 100  # splats
 # Shares of the light that a splat gives to pictures, that goes to the sky: of one that is sky, and
 # of one that is sky if it is as bright or alone and about as blue.
@@ -57,6 +58,7 @@ class Found(NamedTuple):
     open: np.ndarray  # (rows, columns), bool, see `captured_sky.seen_sky`
     half: float  # m, from the middle, how far they look
     shade: GroundShade | None = None  # on the ground; None: none is sure
+    unveiled: Unveiled | None = None  # by leaving out the sky
 
 
 OWN = "sky", "aloft", "middle", "solid", "open"  # arrays of a `Found` itself
@@ -77,6 +79,8 @@ def kept_surface(scene):
             found = find_surface(scene)
             arrays = {name: getattr(found, name) for name in OWN}
             arrays |= found.surface._asdict()
+            if found.unveiled is not None:
+                arrays |= {BARED + key: a for key, a in found.unveiled._asdict().items()}
             facts = {"half": found.half}
             for key, value in () if found.shade is None else found.shade._asdict().items():
                 (arrays if isinstance(value, np.ndarray) else facts)[SHADE + key] = value
@@ -88,7 +92,10 @@ def kept_surface(scene):
             if SHADE + "area" in facts:
                 kept = facts | {key: arrays.pop(key) for key in list(arrays) if SHADE in key}
                 shade = GroundShade(*(kept[SHADE + key] for key in GroundShade._fields))
-            found = Found(CaptureSurface(**arrays), *own, facts["half"], shade)
+            bared = None
+            if BARED + "which" in arrays:
+                bared = Unveiled(*(arrays.pop(BARED + key) for key in Unveiled._fields))
+            found = Found(CaptureSurface(**arrays), *own, facts["half"], shade, bared)
         _last[:] = name, found
     return _last[1]
 
@@ -111,12 +118,15 @@ def find_surface(scene):
     surface = fused(views, middle, half)
     near = _nearest(surface.position, position, good)
     sky = np.zeros(len(position), bool)
-    casters, aloft = good, np.full(len(position), not scene.cameras)
+    casters, aloft, bared = good, np.full(len(position), not scene.cameras), None
     if colors.color is not None:
         pictures = list(zip(views, cameras, parts, strict=True))
         alone = _alone(near, surface)
         sky, aloft = _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
         sky &= good
+        if sky.any():
+            bare, bared = unveiled(scene, sky, rasterizer, pictures)
+            sky |= bare & good
         casters = good & ~(sky & alone)  # what looks like sky on a thing throws the thing's shade
     solid = _solid(position, near, splats, casters, views, frame, surface)
     picture = ground_picture(views)
@@ -130,6 +140,7 @@ def find_surface(scene):
         seen_sky(views, [part > 0 for part in parts]),
         half,
         shade,
+        bared,
     )
 
 

@@ -22,7 +22,8 @@ CELL = 1.0  # m, in which the splats below the level are gathered
 LEAST_COVER = 0.05  # of a cell by such splats, for it to count
 CARRIED = 4.0  # m over the ground: higher cameras fly
 SMOOTH = 3.0  # m, standard deviation of the smoothing of a level that is seen from the air
-ALONG = 5.0  # of the cameras' height: how far along a path its cameras tell the ground's height
+# Cameras' heights: how far along a path its cameras tell the ground's height; the first that does.
+ALONG = 5.0, 2.5
 FEWEST, SLOW = 6, 0.5  # cameras of a path; share of their rise that may differ from one to the next
 AT_ONCE = 8192  # places, for memory
 # How far from the bed splats lie that show it, in times their scatter: near things, and elsewhere;
@@ -35,6 +36,7 @@ FARTHEST = 20.0  # cameras' heights to the ground that they show
 PATCH = 0.1  # m, cells of the ground's colours
 SPREADS, LEAST_SEEN = (0.0, 0.15, 0.5, 1.5, 4.0), 0.02  # m about seen cells; share of them
 THICK = 0.06  # m about the places of things, that they fill
+FRONT = 7.0  # m, length of the front of a house, at least; clumps of haze are shorter
 # Layers over the bed up to which sheets of it lie; of them, how many splats are over that at most
 # where nothing stands.
 SHEETS, FEW = 2.0, 0.1
@@ -141,10 +143,17 @@ class PoorGround:
         bed = bed - foot_drop((top > 0) & (low == 0), grid.spacing)
         return bed, bed + top, bed + low
 
-    def layer_map(self, grid, stands):
-        """Return what `layer_map` does; `stands` (ny, nx), bool, is where things stand."""
+    def layer_map(self, terrain, least):
+        """Return what `layer_map` does, negative at fronts; what is over `least` [m] stands."""
+        grid, stands = terrain.grid, terrain.top - terrain.bed > least
         went = path_of(self._eyes, grid)
-        return layer_map(stands, went, grid.spacing, self._scatter, self._reach)
+        layer = layer_map(stands, went, grid.spacing, self._scatter, self._reach)
+        wide = stands & (terrain.underside <= terrain.bed)
+        wide = ndimage.binary_dilation(wide, iterations=max(1, round(THICK / grid.spacing)))
+        label, _ = ndimage.label(wide)
+        sides = [[part.stop - part.start for part in box] for box in ndimage.find_objects(label)]
+        front = np.array([False, *(np.hypot(*side) * grid.spacing > FRONT for side in sides)])
+        return np.where(front[label], -layer, layer)
 
 
 def level_below(eyes):
@@ -158,22 +167,22 @@ def level_below(eyes):
     usual = float(np.median(eyes[:, 2])) if len(eyes) else 1.0
     rise = eyes[:, 2] - eyes[:, 2].mean() if len(eyes) else eyes[:, 2]
 
-    def mean(x, y, but_self=0.0):
+    def mean(x, y, along, but_self=0.0):
         x, y = np.ravel(x), np.ravel(y)
         found = np.empty(len(x))
         for first in range(0, len(x), AT_ONCE):
             part = slice(first, first + AT_ONCE)
             square = (x[part, None] - eyes[:, 0]) ** 2 + (y[part, None] - eyes[:, 1]) ** 2
-            square /= 2 * (ALONG * usual) ** 2
+            square /= 2 * (along * usual) ** 2
             weight = np.exp(square.min(axis=1, keepdims=True) - square)
             weight[square == 0] *= 1 - but_self
             found[part] = weight @ rise / np.maximum(weight.sum(axis=1), 1e-12)
         return found
 
-    if len(eyes) >= FEWEST and usual > 0:
-        left = rise - mean(eyes[:, 0], eyes[:, 1], 1.0)
+    for along in ALONG if len(eyes) >= FEWEST and usual > 0 else ():
+        left = rise - mean(eyes[:, 0], eyes[:, 1], along, 1.0)
         if np.std(left) < SLOW * np.std(rise):
-            return mean
+            return lambda x, y, along=along: mean(x, y, along)
     return lambda x, y: np.zeros(np.size(x))
 
 
@@ -408,7 +417,7 @@ def open_sheets(terrain, position):
         finite = np.isfinite(position).all(axis=1)
     grid = terrain.grid
     row, column, _ = grid.cells(*np.where(finite[:, None], position, 0)[:, :2].T)
-    over = position[:, 2] - terrain.bed[row, column] - SHEETS * terrain.layer[row, column]
+    over = position[:, 2] - terrain.bed[row, column] - SHEETS * np.abs(terrain.layer[row, column])
     low, rises = finite & (over < 0), finite & (over >= 0) & (over < STANDS)
     side = max(1, round(BESIDE / grid.spacing))
     wide = grid.shape[1] // side + 1

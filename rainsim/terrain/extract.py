@@ -95,7 +95,7 @@ def extract_terrain(scene, config, mask=None, tell=None):
     if cloud.poor is None:
         tops = find_tops(terrain, scene)
     else:
-        terrain = replace(terrain, layer=cloud.poor.layer_map(grid, top - bed > OCCLUDER_HEIGHT))
+        terrain = replace(terrain, layer=cloud.poor.layer_map(terrain, OCCLUDER_HEIGHT))
     removed = int(np.count_nonzero(left_out))
     step()
     notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes, *note_of(tops))

@@ -155,7 +155,8 @@ class Terrain:
         Of the actors that move over the map; not written to files.
     layer : ndarray of shape (ny, nx) or (0, 0), float32 [m]
         How far from the bed the splats lie that show the ground, where they tell its height too
-        poorly: the bed is then assumed, see `rainsim.terrain.assumed_bed`. Empty if it is known.
+        poorly: the bed is then assumed, see `rainsim.terrain.assumed_bed`. Negative where things
+        stand on it, empty if it is known.
 
     Examples
     --------

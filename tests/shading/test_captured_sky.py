@@ -21,7 +21,7 @@ from rainsim.shading.color import GAMMA
 from rainsim.shading.environment import COLUMNS, ROWS, directions
 from rainsim.splatting.prepared import LANES, recolored
 from rainsim.terrain.surface import terrain_from_heights
-from rainsim.terrain.types import Grid
+from rainsim.terrain.types import INFERRED, Grid
 from scenes import ground_frame, looking, tiny_scene
 
 
@@ -233,10 +233,15 @@ def test_a_kept_skyline_is_that_of_the_colors_drawn(yard, tmp_path, monkeypatch)
     assert len(list(tmp_path.iterdir())) == 2
 
 
+def scene_of(splats, cameras=()):
+    return Scene("test", splats, cameras, ground_frame(), None, "")
+
+
 def test_albedo_follows_the_ground_and_what_is_given():
     height = np.zeros((40, 40), np.float32)
     terrain = terrain_from_heights(height, Grid((40, 40), (-1.0, -1.0), 0.05))
-    none = splats_of(patch((0, 0, 0), 4, 0.1, 0.1, (0.2, 0.2, 0.2), np.random.default_rng(0)))
+    grey = splats_of(patch((0, 0, 0), 4, 0.1, 0.1, (0.2, 0.2, 0.2), np.random.default_rng(0)))
+    none = scene_of(grey)
     dim = dataclasses.replace(terrain, color=np.full((40, 40, 3), 0.3, np.float32))
     bright = dataclasses.replace(terrain, color=np.full((40, 40, 3), 0.7, np.float32))
     low, note = calibration.albedo_of_white(bright, none)
@@ -245,10 +250,32 @@ def test_albedo_follows_the_ground_and_what_is_given():
     given, note = calibration.albedo_of_white(bright, none, 0.3)
     assert given == pytest.approx(0.3 / 0.7**2.2, rel=1e-3) and "as given" in note
     white = splats_of(patch((0, 0, 0), 99, 0.1, 0.1, (1, 1, 1), np.random.default_rng(0)))
-    assert calibration.albedo_of_white(dim, white)[0] == pytest.approx(calibration.WHITEST)
+    assert calibration.albedo_of_white(dim, scene_of(white))[0] == pytest.approx(
+        calibration.WHITEST
+    )
     # An overcast sky over ground of that albedo: L = a E / pi, zenith 9/7 of E / pi.
     ground, albedo = 0.7 * 0.3**2.2, high * 0.3**2.2
     assert calibration.zenith_radiance(high, 0.7) == pytest.approx(9 / 7 * ground / albedo)
+
+
+def test_albedo_of_poor_ground_is_that_near_the_cameras():
+    terrain = terrain_from_heights(
+        np.zeros((40, 40), np.float32), Grid((40, 40), (-1.0, -1.0), 0.05)
+    )
+    color = np.full((40, 40, 3), 0.2, np.float32)  # of walls, laid on the ground behind them
+    color[10:30, 10:30] = 0.7
+    terrain = dataclasses.replace(terrain, color=color)
+    grey = splats_of(patch((0, 0, 0), 4, 0.1, 0.1, (0.2, 0.2, 0.2), np.random.default_rng(0)))
+    eye, far, lost = (
+        ground_frame().camera_in_capture(looking(place, (20, 0, 0), 8, 8))
+        for place in ((0, 0, 0.2), (9, 0, 0.2), (0.9, 0.9, 9))
+    )
+    poor = dataclasses.replace(terrain, layer=np.full((40, 40), 0.3, np.float32),
+                               source=np.full((40, 40), INFERRED, np.uint8))  # fmt: skip
+    known, _ = calibration.albedo_of_white(terrain, scene_of(grey, (eye,)))
+    near, _ = calibration.albedo_of_white(poor, scene_of(grey, (eye, eye, lost)))
+    away, _ = calibration.albedo_of_white(poor, scene_of(grey, (far,)))
+    assert near < 0.5 * known and away == known
 
 
 def test_albedo_is_that_of_relit_colors_however_much_of_the_ground_lay_in_the_shade():
@@ -267,12 +294,12 @@ def test_albedo_is_that_of_relit_colors_however_much_of_the_ground_lay_in_the_sh
         color = np.repeat(light[..., None] ** (1 / GAMMA), 3, axis=2).astype(np.float32)
         seen = dataclasses.replace(terrain, color=color)
         gain = np.repeat(np.where(light < 0.4, 3.0, 1.0).reshape(-1, 1), 3, axis=1)
-        captured, _ = calibration.albedo_of_white(seen, splats)
-        relit, _ = calibration.albedo_of_white(seen, splats, None, gain, frame)
+        captured, _ = calibration.albedo_of_white(seen, scene_of(splats))
+        relit, _ = calibration.albedo_of_white(seen, scene_of(splats), None, gain)
         found.append((captured, relit))
     (mostly_lit, lit), (mostly_dark, dark) = found
     assert dark == pytest.approx(lit, rel=1e-3) and mostly_dark > 1.3 * mostly_lit
-    given, _ = calibration.albedo_of_white(seen, splats, 0.3, gain, frame)
+    given, _ = calibration.albedo_of_white(seen, scene_of(splats), 0.3, gain)
     assert given == pytest.approx(0.3 / 0.6, rel=1e-3)
 
 

@@ -260,6 +260,24 @@ def test_a_sheet_before_or_behind_poor_ground_is_seen_on_the_bed(height):
     np.testing.assert_allclose((found.nx, found.ny, found.nz, drawn), (0, 0, 1, 3.75), atol=1e-5)
 
 
+def test_a_ray_to_poor_ground_ends_at_a_wall_that_stands_before_it():
+    ground, ray, eye = poor_ground(0.6), F4([0.2, 1.0, -0.4]), F4([0, -2.5, 1.6])
+    depth = F4((0.1 + 0.5 - 1.6) / ray[2])
+    point = SurfacePoint(*(eye + depth * ray), *F4([0, -1, 0]), depth)
+
+    def seen(wall):
+        row = int((wall - ORIGIN[1]) / SPACING)
+        layer = ground.layer.copy()
+        layer[row : row + 4] *= -1
+        return surface_point.on_bed(point, depth, depth, *ray, ground._replace(layer=layer))[0]
+
+    met = seen(point.y + 0.5)
+    assert 0.4 < met.y - point.y < 0.8 and met.z > 0.2 and (met.ny, met.nz) == (-1, 0)
+    behind = surface_point.on_bed(point, depth, depth, *ray, ground)[0]
+    assert behind.z == pytest.approx(0.1, abs=1e-5) and behind.nz == 1
+    assert seen(behind.y + 0.3) == behind
+
+
 def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
     ground, ray = poor_ground(), F4([0.2, 1.0, -0.4])
 

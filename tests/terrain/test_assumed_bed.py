@@ -1,5 +1,7 @@
 """The bed of ground that splats do not tell: how it is found to be such, and what is assumed."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,15 @@ def test_ground_goes_up_and_down_with_a_walk_and_not_with_hands():
     assert not assumed_bed.level_below(hands)(2 * x, 0 * x).any()
 
 
+def test_ground_rises_with_rows_of_cameras_on_a_slope():
+    x, row = np.meshgrid(np.arange(-12.0, 13, 1.5), (-6.0, 0.0, 6.0))
+    high = np.where(row < 0, 1.2, np.where(row > 0, 2.4, 2.0))
+    eyes = np.stack([x.ravel(), row.ravel(), high.ravel()], -1)
+    level = assumed_bed.level_below(eyes)
+    front, back = (level(np.zeros(1), np.full(1, y)) for y in (-6.0, 6.0))
+    assert 0.5 < back - front < 1.2
+
+
 def test_where_cameras_went_nothing_stands():
     eyes = np.array([[-6.0, 0, 1.6], [-3, 0, 1.6], [0, 0, 1.6]])
     went = assumed_bed.path_of(eyes, GRID)
@@ -100,6 +111,13 @@ def test_where_cameras_went_nothing_stands():
     assert not top[row[0]].any()
     layer = assumed_bed.layer_map(top > 0, went, 0.04, 0.15, 1.6)
     assert layer[row[0], 80] > layer[30, 380] > layer[row[4], 200] > 0
+    scene = SimpleNamespace(splats=(), cameras=())
+    poor = assumed_bed.PoorGround(scene, GRID, 0.15, eyes, lambda x, y: 0 * x)
+    top[row[4] - 40, 100:120] = 2.0  # a clump
+    terrain = SimpleNamespace(grid=GRID, bed=0 * top, top=top, underside=low)
+    layer = poor.layer_map(terrain, 0.1)
+    assert (layer[row[4], 60:340] < 0).all() and layer[row[-4]].min() > 0
+    assert layer[row[4] - 40].min() > 0
 
 
 def test_a_level_from_the_air_is_smooth_and_has_no_hollows():
