@@ -13,6 +13,7 @@ import click
 
 from rainsim.commands import options
 from rainsim.commands.given import require_backend
+from rainsim.commands.options import option
 from rainsim.commands.status import Status
 from rainsim.errors import DivergedError, InputError, ParameterError, require_positive
 
@@ -75,42 +76,47 @@ def _is_whole(text):
     return text.isascii() and text.isdigit() and len(text) < MOST_DIGITS
 
 
-def _given(name, kind, text, **more):
-    return click.option(f"--{name}", type=kind, help=text, **more)
+# fmt: off
+water_options = options.group(
+    option("duration", float, "Simulated time [s] from the start, not from where --resume "
+           "goes on.", "S", required=True),
+    option("spacing", float, "Side of a cell [m]; the file's where it has one.", "M"),
+    option("height-unit", click.Choice(list(HEIGHT_UNITS)), "Unit of the bed's heights, "
+           "whatever the file says. [default: the file's, or m]"),
+    option("nodata", click.Choice(["closed", "open"]), "Whether cells without a height are "
+           "walls, or water leaves over their edge.", default="closed"),
+    option("rain", NumberOrFile(), "mm/h, or a CSV of time [s] and mm/h, each until the "
+           "next.", default="0"),
+    option("level", float, "Water level at the start [m], in the heights of the bed.", "M"),
+    option("depth", NumberOrFile(), "Water depth at the start [m]. [default: dry]"),
+    option("manning", NumberOrFile(), "Manning's roughness [s m^(-1/3)].", default="0",
+           shows="NO FRICTION"),
+    option("viscosity", float, "Kinematic, for laminar films [m2/s].", "M2/S", default=0.0),
+    option("infiltration", NumberOrFile(), "Rate that the ground takes [mm/h].", default="0"),
+    option("storage", NumberOrFile(), "Depth that each cell holds back [mm].", default="0"),
+    option("open", str, "Edge that water leaves over: west, east, south, north or all; else "
+           "walls.", "EDGE", multiple=True),
+    option("stage", AtEdge(), "Level at an edge: m, or a CSV of time [s] and m.",
+           multiple=True),
+    option("discharge", AtEdge(), "What comes in at an edge: m3/s, or a CSV of time [s] and "
+           "m3/s.", multiple=True),
+    option("rating", AtEdge(), "Rating curve at an edge: a CSV of level [m] and m3/s that "
+           "leave.", multiple=True),
+    option("gauge", Gauge(), "Cell whose depth and speed are read.", multiple=True),
+    option("period", float, "Time between readings [s]. [default: a hundredth of --duration]",
+           "S"),
+    option("scheme", click.Choice(["auto", "accurate", "lean", "paper"]), "The water scheme.",
+           default="auto"),
+    option("courant", float, "Cells that the fastest wave crosses in a step. [default: the "
+           "scheme's]"),
+    option("double", bool, "float64 in place of float32."),
+)
+# fmt: on
 
 
 @click.command(short_help="Solve the flow of water over a map of heights, without a scene.")
 @click.argument("bed", type=click.Path(path_type=Path))
-@_given("duration", float, "Simulated time [s] from the start, not from where --resume goes on.",
-        required=True, metavar="S")  # fmt: skip
-@_given("spacing", float, "Side of a cell [m]; the file's where it has one.", metavar="M")
-@_given("height-unit", click.Choice(list(HEIGHT_UNITS)), "Unit of the bed's heights, whatever "
-        "the file says. [default: the file's, or m]")  # fmt: skip
-@_given("nodata", click.Choice(["closed", "open"]), "Whether cells without a height are walls, or "
-        "water leaves over their edge.", default="closed", show_default=True)  # fmt: skip
-@_given("rain", NumberOrFile(), "mm/h, or a CSV of time [s] and mm/h, each until the next.",
-        default="0")  # fmt: skip
-@_given("level", float, "Water level at the start [m], in the heights of the bed.", metavar="M")
-@_given("depth", NumberOrFile(), "Water depth at the start [m]. [default: dry]")
-@_given("manning", NumberOrFile(), "Manning's roughness [s m^(-1/3)]. [default: NO FRICTION]",
-        default="0")  # fmt: skip
-@_given("viscosity", float, "Kinematic, for laminar films [m2/s].", default=0.0, metavar="M2/S")
-@_given("infiltration", NumberOrFile(), "Rate that the ground takes [mm/h].", default="0")
-@_given("storage", NumberOrFile(), "Depth that each cell holds back [mm].", default="0")
-@_given("open", str, "Edge that water leaves over: west, east, south, north or all; else walls.",
-        multiple=True, metavar="EDGE")  # fmt: skip
-@_given("stage", AtEdge(), "Level at an edge: m, or a CSV of time [s] and m.", multiple=True)
-@_given("discharge", AtEdge(), "What comes in at an edge: m3/s, or a CSV of time [s] and m3/s.",
-        multiple=True)  # fmt: skip
-@_given("rating", AtEdge(), "Rating curve at an edge: a CSV of level [m] and m3/s that leave.",
-        multiple=True)  # fmt: skip
-@_given("gauge", Gauge(), "Cell whose depth and speed are read.", multiple=True)
-@_given("period", float, "Time between readings [s]. [default: a hundredth of --duration]",
-        metavar="S")  # fmt: skip
-@_given("scheme", click.Choice(["auto", "accurate", "lean", "paper"]), "The water scheme.",
-        default="auto", show_default=True)  # fmt: skip
-@_given("courant", float, "Cells that the fastest wave crosses in a step. [default: the scheme's]")
-@_given("double", bool, "float64 in place of float32.", is_flag=True)
+@water_options
 @options.backend_option
 @options.resume_option
 @options.output_options("rainsim-out/BED-flow")

@@ -274,33 +274,18 @@ shutter_option = option(
 range_option = option(
     "frame-range", FrameRange(), "Only frames A to B, B excluded; the water is still simulated "
     "from frame 0 on.", shows="all")
-# fmt: on
-
 shared_range_option = option(
-    "frame-range",
-    FrameRange(),
-    "Only frames A to B, B excluded. Other processes, here or on "
+    "frame-range", FrameRange(), "Only frames A to B, B excluded. Other processes, here or on "
     "other machines, may draw other ranges of the same run into the same folder; who finishes its "
     "last frame completes it. A frame has one owner: with --resume what an ended process left "
-    "undone is drawn.",
-    shows="all",
-)
-
+    "undone is drawn.", shows="all")
 farm_options = group(
-    click.option(
-        "--workers",
-        type=click.IntRange(1, 4096),
-        metavar="N",
-        help="Draw in N processes on this machine, each with its share of the cores, or a GPU of "
-        "its own (needs rainsim[farm]).",
-    ),
-    click.option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Draw by the workers of a dask scheduler, such as tls://host:8786 (needs "
-        "rainsim[farm]).",
-    ),
+    option("workers", click.IntRange(1, 4096), "Draw in N processes on this machine, each with its "
+           "share of the cores, or a GPU of its own (needs rainsim[farm]).", "N"),
+    option("scheduler", str, "Draw by the workers of a dask scheduler, such as tls://host:8786 "
+           "(needs rainsim[farm]).", "ADDRESS"),
 )
+# fmt: on
 
 
 def output_options(default):

@@ -19,7 +19,7 @@ from rainsim.errors import ParameterError
 from rainsim.io.files import card_in, write_json
 from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import SHARED_FOLDER, Journal
-from rainsim.output_folder import CLAIM, TEMPORARY, input_facts, versions
+from rainsim.output_folder import CLAIM, input_facts, others_in, remove_temporary, versions
 
 CARD, CARD_TEXT, JOURNAL = "card.json", "CARD.md", "pictures.jsonl"
 AHEAD = 1  # samples that may wait for their files beside the one that is drawn
@@ -78,9 +78,7 @@ class DataSetFolder:
 
     def _check(self, before):
         """Raise ParameterError unless the folder holds an unfinished export of the same content."""
-        own = (CLAIM, SHARED_FOLDER)
-        others = [p.name for p in self.folder.iterdir()
-                  if p.name not in own and not TEMPORARY.fullmatch(p.name)]  # fmt: skip
+        others = others_in(self.folder)
         if before is None and others:
             raise ParameterError(
                 f"output folder {self.folder} holds {others[0]} and no data set; --resume goes on "
@@ -99,9 +97,7 @@ class DataSetFolder:
         before = read_card(self.folder)
         if before is not None and before.get("fingerprint") != self.fingerprint:
             self._remove_files()
-        for path in list(self.folder.rglob(".*")):  # of an export that was killed
-            if path.is_file() and path.name != CLAIM and TEMPORARY.fullmatch(path.name):
-                path.unlink()
+        remove_temporary(self.folder)
         self.journal.begin_line()
         self._card = {
             "program": "rainsim", "command": ["rainsim", *sys.argv[1:]],

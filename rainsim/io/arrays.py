@@ -8,6 +8,7 @@ an index out of range or in minutes of a kernel.
 
 from __future__ import annotations
 
+import errno
 import zipfile
 from dataclasses import dataclass
 
@@ -75,8 +76,11 @@ def read_arrays(path, what, fields, version, remedy, oldest=1):
         raise
     except MemoryError:
         raise reader.error("it does not fit into the memory") from None
-    # zipfile, zlib and numpy raise whatever the damage leads to.
+    # zipfile, zlib and numpy raise whatever the damage leads to, EINVAL among it.
     except Exception as error:
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
+            error.filename = error.filename or str(path)
+            raise
         raise reader.error(f"it is damaged, {type(error).__name__}") from None
     return arrays
 

@@ -13,7 +13,7 @@ _PUBLIC = {
     "frames": ("FrameFolder", "complete_film"),
     "names": (
         "CLAIM", "FRAME_FACTS", "JOURNAL", "OURS", "PROVENANCE", "RECORD_VERSION", "STATE",
-        "STATE_FACTS", "TEMPORARY", "VERSION", "read_record",
+        "STATE_FACTS", "VERSION", "others_in", "read_record", "remove_temporary",
     ),
     "record": ("Record",),
 }  # fmt: skip

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rainsim.errors import InputError
 from rainsim.io.files import read_json
+from rainsim.io.journal import SHARED_FOLDER
 
 PROVENANCE, RECORD_VERSION, VERSION = "provenance.json", "rainsim_record", 1
 CLAIM = ".rainsim-claim"  # locked by the run that writes to the folder
@@ -27,6 +28,20 @@ FRAME_FACTS = STATE_FACTS | {"time": float, "milliseconds": dict}
 # Files of a run that was killed while it wrote them, see `rainsim.io.files.replacing`.
 TEMPORARY = re.compile(r"\.([\w.-]+)\.[a-z0-9_]{8}(\.[a-z0-9]+)?")
 FOLDERS = ("", "frames", "states", "layers", "layers/*", "exr", "env", "[0-9]*_[0-9]*")
+
+
+def others_in(folder):
+    """Return the names in a folder besides claims and what a killed run left half written."""
+    found = (path.name for path in folder.iterdir())
+    return [name for name in found
+            if name not in (CLAIM, SHARED_FOLDER) and not TEMPORARY.fullmatch(name)]  # fmt: skip
+
+
+def remove_temporary(folder):
+    """Remove the files anywhere in a folder that a killed run left half written."""
+    for path in list(folder.rglob(".*")):
+        if path.is_file() and TEMPORARY.fullmatch(path.name):
+            path.unlink()
 
 
 def names_in(folder):

@@ -13,7 +13,6 @@ from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import SHARED_FOLDER, Journal
 from rainsim.output_folder.facts import input_facts, scene_content, versions
 from rainsim.output_folder.names import (
-    CLAIM,
     FRAME_FACTS,
     JOURNAL,
     OURS,
@@ -23,6 +22,7 @@ from rainsim.output_folder.names import (
     VERSION,
     files_of,
     names_in,
+    others_in,
     read_record,
 )
 from rainsim.render.frame_files import FRAME
@@ -99,9 +99,7 @@ class Record:
     def require_same(self):
         """Raise ParameterError if the folder holds what no run with this fingerprint wrote."""
         # First the files, then the record: others may just begin, and write the record first.
-        found = [path.name for path in self.folder.iterdir()]
-        own = (CLAIM, SHARED_FOLDER)
-        others = [name for name in found if name not in own and not TEMPORARY.fullmatch(name)]
+        others = others_in(self.folder)
         before = read_record(self.folder)
         if not before:
             if others:

@@ -202,21 +202,16 @@ def _nerf_camera(entry):
 
 def _focal_lengths(entry, width, height):
     """Return fx, fy [px] from the focal lengths or angles in the file; pixels default to square."""
-    if entry.get("fl_x") is not None:
-        fx = entry.number("fl_x", 0, MAX_FOCAL)
-    elif entry.get("camera_angle_x") is not None:
-        fx = focal_length(width, entry.number("camera_angle_x", 0, math.pi))
-    else:
-        fx = None
-    if entry.get("fl_y") is not None:
-        fy = entry.number("fl_y", 0, MAX_FOCAL)
-    elif entry.get("camera_angle_y") is not None:
-        fy = focal_length(height, entry.number("camera_angle_y", 0, math.pi))
-    else:
-        fy = fx
-    if fy is None:
+    found = []
+    for axis, size in (("x", width), ("y", height)):
+        if entry.get(f"fl_{axis}") is not None:
+            found.append(entry.number(f"fl_{axis}", 0, MAX_FOCAL))
+        elif entry.get(f"camera_angle_{axis}") is not None:
+            angle = entry.number(f"camera_angle_{axis}", 0, math.pi)
+            found.append(focal_length(size, angle))
+    if not found:
         raise entry.error("fl_x", "a number above 0, unless there is a camera_angle_x [radians]")
-    return (fy if fx is None else fx), fy
+    return found[0], found[-1]
 
 
 def _nerf_pose(entry):

@@ -36,6 +36,7 @@ VERSION_KEY, VERSION = "rainsim_ground_frame", 1  # of the file of a ground fram
 # m, mean over the cameras, where it is not given. Five captures from photographs say 1.67 (laser
 # scan), 1.7 (a table), 1.87 (laser scan), 1.95 (GPS) and some 2.0 (a bollard).
 ASSUMED_CAMERA_HEIGHT = 1.8
+MOST_NOTE = 4000  # characters of a note; those of a ground that is found have up to a thousand
 STRAY = 10.0  # times the usual height of the cameras: one that is higher is misplaced
 LARGEST_FALL = 0.3  # a steep drive has 0.2
 LIKELY_CAMERA_HEIGHTS = (1.2, 2.4)  # m: pictures taken low, and with raised arms
@@ -321,7 +322,7 @@ def ground_frame_from_dict(data, source):
             meters_per_unit=scale,
             translation=_numbers(data, "translation", (3,), source),
             confidence=confidence,
-            notes=tuple(map(one_line, notes)),
+            notes=tuple(one_line(note, MOST_NOTE) for note in notes),
             scale_assumed=data.get("scale_assumed") is True,
         )
     except ParameterError as error:

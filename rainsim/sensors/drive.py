@@ -16,7 +16,14 @@ from rainsim.io.files import card_in, replacing, write_json
 from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import Journal
 from rainsim.lod.held_parts import scene_in_reach
-from rainsim.output_folder import TEMPORARY, input_facts, scene_content, settings_content, versions
+from rainsim.output_folder import (
+    input_facts,
+    others_in,
+    remove_temporary,
+    scene_content,
+    settings_content,
+    versions,
+)
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.actor_labels import box_in_space
 from rainsim.render.weather import weather_of
@@ -52,9 +59,7 @@ class LidarFolder:
         self._journal = Journal(folder, JOURNAL, OURS.fullmatch)
         self._before, self._resumes = card_in(folder / CARD), resume
         if (overwrite or resume) and self._before is None:
-            found = [p.name for p in folder.iterdir() if not p.name.startswith(".rainsim")]
-            found = [name for name in found if not TEMPORARY.fullmatch(name)]
-            if found:
+            if found := others_in(folder):
                 raise ParameterError(
                     f"output folder {folder} holds {found[0]} and no turns of a lidar; --overwrite "
                     "and --resume replace those only; give another --out"
@@ -81,9 +86,7 @@ class LidarFolder:
         for name in {*noted, *before.get("files", ())} - kept:
             if isinstance(name, str) and OURS.fullmatch(name):
                 (self.folder / name).unlink(missing_ok=True)
-        for path in self.folder.rglob(".*"):  # of a scan that was killed
-            if path.is_file() and TEMPORARY.fullmatch(path.name):
-                path.unlink()
+        remove_temporary(self.folder)
         if self.kept:
             self._journal.begin_line()
         else:

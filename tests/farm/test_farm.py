@@ -3,6 +3,9 @@
 import os
 import pickle
 import socket
+import subprocess
+import sys
+import threading
 import time
 from pathlib import Path
 
@@ -140,6 +143,42 @@ def test_a_scheduler_that_is_not_there(monkeypatch):
             with pytest.raises(BackendError, match=why), cluster.client_of(address):
                 pass
         assert time.monotonic() - begun < 5
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_is_said_and_resume_goes_on(tmp_path, client, whole):  # noqa: F811
+    folders = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    where, folder = tmp_path / "where.json", tmp_path / "a"
+
+    def serve(kind, *options):
+        line = [sys.executable, "-m", "dask", kind, "--no-dashboard", "--host", "127.0.0.1"]
+        return subprocess.Popen([*line, "--scheduler-file", str(where), *options],
+                                env=os.environ | {"PYTHONPATH": folders},
+                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
+
+    def die():
+        while len(list(folder.glob("frames/*.png"))) < 2:
+            time.sleep(0.05)
+        scheduler.kill()
+
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    scheduler = serve("scheduler", "--port", str(port))
+    worker = serve("worker", "--nthreads", "1", "--no-nanny")
+    try:
+        while not where.is_file():
+            time.sleep(0.05)
+        threading.Thread(target=die, daemon=True).start()
+        with pytest.raises(BackendError, match=r"scheduler is gone.*go on with --resume"):
+            with cluster.client_of(f"tcp://127.0.0.1:{port}") as there:
+                draw(there, folder, pause=0.5)
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    said = draw(client, folder, resume=True)
+    assert said[0].endswith("frames are finished and kept")
+    same(folder, whole)
 
 
 def test_the_set_up_is_kept_for_the_workers(tmp_path, monkeypatch):

@@ -30,7 +30,7 @@ from run_folders import assert_same_run, written
 from scenes import tiny_scene
 
 FRAMES = 12
-KILLS, MANY_KILLS = 5, 100
+KILLS = 5
 
 
 def picture(index):
@@ -185,14 +185,6 @@ def test_runs_killed_at_random_moments_lose_nothing(tmp_path, whole):
     draw(tmp_path / "a", resume=True)
     same(tmp_path / "a", whole)
     assert not [p for p in (tmp_path / "a").rglob(".*") if p.is_file()]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(10))
-def test_runs_killed_at_many_random_moments_lose_nothing(tmp_path, whole, seed):
-    killed_at_random(tmp_path / "a", MANY_KILLS // 10, seed)
-    draw(tmp_path / "a", resume=True)
-    same(tmp_path / "a", whole)
 
 
 def test_a_video_is_the_same(tmp_path):

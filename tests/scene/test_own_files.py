@@ -1,5 +1,6 @@
 """The program's own files: whatever is in them is read whole and right, or refused in one line."""
 
+import errno
 import io
 import pickle
 import zipfile
@@ -70,6 +71,17 @@ def test_files_cut_off_anywhere(kind):
     for length in sorted({*range(0, len(whole), len(whole) // 60), len(whole) - 1}):
         path.write_bytes(whole[:length])
         refused(read, path)
+
+
+def test_a_disk_that_goes_away_is_no_damage(tmp_path, monkeypatch):
+    path = make_terrain(tmp_path)
+
+    def gone(*_, **__):
+        raise OSError(errno.ESTALE, "Stale file handle")
+
+    monkeypatch.setattr(zipfile.ZipFile, "open", gone)
+    with pytest.raises(OSError, match=rf"Stale file handle.*{path.name}"):
+        read_terrain(path)
 
 
 def wrong_versions_of(values):

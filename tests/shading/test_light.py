@@ -31,16 +31,6 @@ DULL = AS_CAPTURED._replace(exposure=0.7, compression=1.2)
 SLANTING = off_ground(slant_x=0.5)  # rain to +x; one film of supply
 
 
-def test_fresnel_is_the_exact_dielectric():
-    # Born and Wolf: at normal incidence ((n - 1) / (n + 1))^2; the rest from physics tables.
-    assert fresnel(1.0) == pytest.approx((0.333 / 2.333) ** 2, abs=1e-6)
-    for degrees, expected in ((60, 0.060), (75, 0.212), (80, 0.348), (85, 0.584)):
-        assert fresnel(np.cos(np.radians(degrees))) == pytest.approx(expected, abs=1.5e-3)
-    assert fresnel(0.0) == pytest.approx(1.0)
-    values = [fresnel(c) for c in np.linspace(0, 1, 50)]
-    assert all(a > b for a, b in itertools.pairwise(values))
-
-
 def test_fresnel_and_schlick_against_float64():
     """Exact to 1e-3 everywhere (in fact 1e-6); Schlick's errors are the known ones."""
     cosine = np.linspace(0, 1, 2001)

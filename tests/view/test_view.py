@@ -461,11 +461,17 @@ class Pages:
         return found
 
 
-def test_a_page_gets_a_small_picture_and_then_the_full_one_with_depth(session, view):
+def opened(session, view):
+    """A page that has been shown a view."""
     pages = Pages(session)
     pages.painter.add(1)
     pages.painter.look(1, view, 4 / 3)
     pages.run()
+    return pages
+
+
+def test_a_page_gets_a_small_picture_and_then_the_full_one_with_depth(session, view):
+    pages = opened(session, view)
     first, last = (shown for _, shown in pages.take())
     assert first.picture.shape == (24, 32, 3) and first.depth is None and first.job.step == SMALL
     assert last.picture.shape == (48, 64, 3) and last.depth.shape == (48, 64)
@@ -493,10 +499,7 @@ def test_two_pages_have_their_cameras_and_share_the_water(session, view):
 
 
 def test_a_slider_s_first_try_is_followed_by_the_exact_picture(scene, session, view):
-    pages = Pages(session)
-    pages.painter.add(1)
-    pages.painter.look(1, view, 4 / 3)
-    pages.run()
+    pages = opened(session, view)
     before = pages.take()[-1][1].picture
     pages.painter.set_config(lambda config: config.replace(rate=mm_per_hour(90.0)))
     pages.run()
@@ -514,10 +517,7 @@ def test_a_slider_s_first_try_is_followed_by_the_exact_picture(scene, session, v
 def test_settings_that_cannot_be_drawn_are_reported_once_and_drawing_goes_on(scene, view):
     session = Session(scene, settings(scene, rate=0.0))
     session.make()
-    pages = Pages(session)
-    pages.painter.add(1)
-    pages.painter.look(1, view, 4 / 3)
-    pages.run()
+    pages = opened(session, view)
     pages.take()
     pages.painter.set_config(lambda config: config.replace(extent=500.0, spacing=0.005))
     pages.run()
@@ -552,10 +552,7 @@ def test_without_ground_the_capture_is_drawn_until_up_is_mended(scene, view):
 
 
 def test_time_plays_for_all_pages(session, view):
-    pages = Pages(session)
-    pages.painter.add(1)
-    pages.painter.look(1, view, 4 / 3)
-    pages.run()
+    pages = opened(session, view)
     pages.take()
     pages.painter.turn(lambda clock, now: clock.play(now))
     for _ in range(12):
@@ -588,10 +585,7 @@ def test_the_thread_answers_draws_and_ends(session, view):
 
 
 def test_a_finished_picture_tells_how_much_of_it_is_badly_seen(session, view):
-    pages = Pages(session)
-    pages.painter.add(1)
-    pages.painter.look(1, view, 4 / 3)
-    pages.run()
+    pages = opened(session, view)
     assert pages.left == []  # a generated scene: nothing is known
     session.scene, before = replace(session.scene, source=Path("somewhere")), session.scene
     wet = session.renderer.conductor.wet_scene
