@@ -189,6 +189,17 @@ def _nearest(places, position, good=None):
     return away, place
 
 
+def kept_normals(scene, found, sky):
+    """Return what `splat_normals` does, from an earlier run if there was one."""
+
+    def made():
+        return dict(zip(("normal", "share"), splat_normals(scene, found, sky), strict=True))
+
+    place = scene.splats, scene.ground_frame, scene.cameras
+    arrays = cache.kept_arrays("normals", made, *place, sky)
+    return arrays["normal"], arrays["share"]
+
+
 def splat_normals(scene, found, sky):
     """Return normals of the surface at a scene's splats (n, 3), and how sure they are (n,).
 
