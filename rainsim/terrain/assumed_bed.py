@@ -247,7 +247,7 @@ def smooth_level(followed, grid):
 
 
 def _sampled(level, grid):
-    """Return the heights of a level about a grid on a lattice of CELL, and the lattice's x and y."""
+    """Return heights of a level over a grid, on a lattice of CELL, and x and y of the lattice."""
     coarse = [np.arange(grid.origin[k], grid.origin[k] + grid.size[k] + CELL, CELL) for k in (0, 1)]
     x, y = np.meshgrid(*coarse)
     return level(x, y).reshape(x.shape), coarse
