@@ -59,7 +59,7 @@ def waited(name, out, variables, backend, width):
     process.returncode = os.waitstatus_to_exitcode(code)
     if process.returncode:
         raise subprocess.CalledProcessError(process.returncode, command)
-    stages = json.loads((out / "provenance.json").read_text())["stages"]
+    stages = json.loads((out / "provenance.json").read_text(encoding="utf-8"))["stages"]
     return {
         "seconds": seconds, "processor": used.ru_utime + used.ru_stime,
         "megabytes": used.ru_maxrss / 1024, "stages": stages,

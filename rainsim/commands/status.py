@@ -14,7 +14,7 @@ from rainsim.errors import one_line
 
 LOUD = ("ASSUMED", "WARNING", "NOT TO BE BELIEVED")  # words of notes that are printed bold
 READING = "scene"  # the stage before all others
-SHOWN = {READING: "reading", "simulate": "water"}  # stages whose time is told by another name
+SHOWN = {READING: "reading", "simulate": "water"}  # stages whose time has another name
 BESIDE = "compiling beside"  # what goes on beside the stages
 QUARTERS = 4  # without a terminal a stage reports this often at least
 BEAT = 10.0  # s after which it reports again, and a stage that cannot count says that it goes on
