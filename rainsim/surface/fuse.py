@@ -20,6 +20,7 @@ from rainsim.surface.views import DepthView
 from rainsim.surface.walls import to_walls
 
 VOXEL = 0.04  # m, within the radius of what the cameras look at; beyond it twice that, and so on
+COARSE = 1.75  # times that, of a pixel from which on voxels are twice as wide
 LEVELS = 8  # of voxels, each twice as large
 JUMP = np.float32(0.04)  # of the depth, between pixels: the edge of something
 SLACK, LEAST_SLACK = np.float32(0.015), np.float32(0.02)  # of the depth, and m: places that agree
@@ -55,10 +56,10 @@ def fused(views, middle, radius):
     """Return the `CaptureSurface` that depth pictures show.
 
     Voxels are VOXEL wide within a radius [m] about `middle` [m], which the cameras look at, and
-    twice that where pixels are wider.
+    twice that where pixels are about as wide.
     """
     middle = np.asarray(middle, np.float32)
-    voxels = _Voxels(VOXEL if pixel_of(views) < VOXEL else 2 * VOXEL)
+    voxels = _Voxels(VOXEL if pixel_of(views) < COARSE * VOXEL else 2 * VOXEL)
     for view in views:
         voxels.add(view, middle, np.float32(radius))
     sums = voxels.sums

@@ -24,6 +24,7 @@ from rainsim.surface.wall_parts import laid_on_walls
 KIND = "surface"
 SHADE = "shade "  # before the names of what is kept of it
 FEWEST = 100  # splats
+STEPS = 4  # of some seconds, in which a surface is found
 # Shares of the light that a splat gives to pictures, that goes to the sky: of one that is sky, and
 # of one that is sky if it is as bright or alone and about as blue.
 MOSTLY, LIKELY = 0.5, 0.3
@@ -63,10 +64,10 @@ OWN = "sky", "aloft", "middle", "solid", "open"  # arrays of a `Found` itself
 _last = [None, None]  # name of the result that was asked for last, and the result
 
 
-def kept_surface(scene):
+def kept_surface(scene, step=lambda: None):
     """Return what the cameras of a scene show, as `Found`, from an earlier run if there was one.
 
-    None if there are fewer splats than FEWEST.
+    None if there are fewer splats than FEWEST. `step()` is called up to STEPS times.
     """
     if len(scene.splats) < FEWEST:
         return None
@@ -74,7 +75,7 @@ def kept_surface(scene):
     if _last[0] != name:
         entry = cache.read(KIND, name)
         if entry is None:
-            found = find_surface(scene)
+            found = find_surface(scene, step)
             arrays = {name: getattr(found, name) for name in OWN}
             arrays |= found.surface._asdict()
             facts = {"half": found.half}
@@ -93,8 +94,8 @@ def kept_surface(scene):
     return _last[1]
 
 
-def find_surface(scene):
-    """Return what the cameras of a scene show, as `Found`."""
+def find_surface(scene, step=lambda: None):
+    """Return what the cameras of a scene show, as `Found`; `step()` is called STEPS times."""
     frame, splats = scene.ground_frame, scene.splats
     with np.errstate(all="ignore"):
         position = frame.to_ground(splats.position).astype(np.float32)
@@ -105,10 +106,13 @@ def find_surface(scene):
     cameras = cameras_of(scene, middle, half)
     rasterizer = Rasterizer(prepare(splats))
     views = depth_views(scene, cameras, rasterizer)
+    step()
     colors = SkyColors(views)
     parts = colors.parts(views)
     leave_out_sky(views, colors.no_surface(views, parts))
+    step()
     surface = fused(views, middle, half)
+    step()
     near = _nearest(surface.position, position, good)
     sky = np.zeros(len(position), bool)
     casters, aloft = good, np.full(len(position), not scene.cameras)
@@ -118,6 +122,7 @@ def find_surface(scene):
         sky, aloft = _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
         sky &= good
         casters = good & ~(sky & alone)  # what looks like sky on a thing throws the thing's shade
+    step()
     solid = _solid(position, near, splats, casters, views, frame, surface)
     picture = ground_picture(views)
     shade = None if picture is None else ground_shade(picture)
