@@ -148,6 +148,26 @@ def frame(**given):
     """
 
 
+@_suite("What a user waits for, from the command to the first picture.")
+@backend_option
+@click.option("--scene", multiple=True, metavar="NAME", help="Only these; may be given again.")
+@click.option(
+    "--compiled/--compile",
+    default=True,
+    help="Compile all kernels again for a run with empty caches, which takes minutes.",
+)
+def wait(**given):
+    """Draw the first picture of scenes by `rainsim run`, without kept results and with them.
+
+    Prints time, processor time and memory of the whole process, and its stages. Scenes named
+    garden, south and lund in a folder of RAINSIM_SCENES are measured beside the built-in ones.
+
+    \b
+    Example:
+        python -m benchmarks wait --json wait.json --chart wait.png
+    """
+
+
 @_suite("How the time of a frame grows with splats and pixels.")
 def growth():
     """Draw moving frames with ever more splats, pixels and wet pixels.

@@ -141,6 +141,8 @@ class FrameSequence:
         """Yield (picture, FrameReport) of the frames `indices`, in rising order."""
         if len(indices) == 0:
             return
+        if tell is not None and self._water is None:
+            tell("light", 0, 1)
         for picture, report in self._renderer.render(self._states_of(list(indices), tell)):
             yield picture, report if self.exr is None else replace(report, exr=self.exr)
 
@@ -154,14 +156,17 @@ class FrameSequence:
         if self.states is not None:
             yield from (_shown_at(self.states(moment(index)), index) for index in indices)
             return
+        total = moment(indices[0]) + 1
         for index in indices:
             leg = None if self._ground is None else self._ground.leg(index)
             if self._water is None or index < self.next or leg != self._leg:
+                if tell is not None and index == indices[0]:
+                    tell("simulate", 0, total)
                 self._begin(leg, moment(index) / self.config.fps)
             while self._steps <= moment(index):
                 self._state, self._steps = next(self._water), self._steps + 1
-                if tell is not None and self._steps <= moment(indices[0]):
-                    tell("simulate", self._steps, moment(indices[0]))
+                if tell is not None and self._steps <= total:
+                    tell("simulate", self._steps, total)
             yield _shown_at(self._state, index)
 
     def _begin(self, leg, time):

@@ -366,6 +366,7 @@ class FilmJob(Job):
                 facts["optics"] = self.optics.facts
             facts["cameras"] = output_folder.cameras_facts(sequence.cameras)
             record = output_folder.Record(self.out, self.scene, content, **facts)
+            record.facts["stages"] = status.spent  # seconds, as far as stages are over
             run = self.out, record, sequence.cameras, config, self.video
             forecast, given = Forecast(status, *run), self.given
             if given.get("workers") or given.get("scheduler"):
@@ -378,13 +379,14 @@ class FilmJob(Job):
         result = {
             "frames": [FRAME.format(report.index) for report in reports],
             "seconds": round(status.seconds, 3),
+            "stages": status.spent,
             "milliseconds": mean_milliseconds(reports),
             "ledger": reports[-1].ledger,
             "notes": [*self.scene.notes, *self.scene.ground_frame.notes],
         }
         also = " and one OpenEXR file for each in exr" if self.exr is not None else ""
         total = counted(len(config.indices), "frame")
-        self.finish(total, result, more=f"/frames{also} ({status.seconds:.1f} s)")
+        self.finish(total, result, more=f"/frames{also} ({status.in_stages()})")
 
 
 def _check_farm(given):
@@ -415,6 +417,7 @@ def _draw_alone(status, sequence, run, resume):
             status.notes(report.notes)
             folder.add(picture, report)
             status.progress("frames", folder.done, len(indices))
+        status.count("writing")
     return folder.reports
 
 

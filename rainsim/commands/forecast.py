@@ -65,7 +65,7 @@ class Forecast:
         self._status, self._folder, self._video = status, folder, video
         self._config = config
         self._frames = None if status.quiet else StageProgress(FRAMES)
-        self.say, self.notes = status.say, status.notes
+        self.say, self.notes, self.count = status.say, status.notes, status.count
 
     def progress(self, stage, done, total):
         """Show that `done` of `total` parts of a stage are done."""

@@ -14,6 +14,8 @@ from rainsim.errors import one_line
 
 LOUD = ("ASSUMED", "WARNING", "NOT TO BE BELIEVED")  # words of notes that are printed bold
 READING = "scene"  # the stage before all others
+SHOWN = {READING: "reading", "simulate": "water"}  # stages whose time has another name
+BESIDE = "compiling beside"  # what goes on beside the stages
 QUARTERS = 4  # without a terminal a stage reports this often at least
 BEAT = 10.0  # s after which it reports again, and a stage that cannot count says that it goes on
 TICK = 1.0  # s between looks at the clock
@@ -63,6 +65,8 @@ class Status:
     `progress(stage, done, total)` is the callable that the pipeline's functions take. As a context
     manager it ends the bar on the way out, also on an error. In a terminal a stage has a bar;
     elsewhere it has lines with counts and the time that is left, none of them long after another.
+
+    `spent` is the time of each stage that is over [s].
     """
 
     def __init__(self, quiet=False):
@@ -70,7 +74,8 @@ class Status:
         self._stage, self._bar = None, None
         self._compiling, self._lock = None, threading.RLock()
         self._said = set()
-        self._start = time.perf_counter()
+        self._start = self._since = time.perf_counter()
+        self.spent, self._counted, self._compiled_from = {}, "start", None
         self._ticking, self._ended = None, threading.Event()
         self._ended.set()  # the clock goes within a `with` block only
 
@@ -78,6 +83,18 @@ class Status:
     def seconds(self):
         """Time since the command began [s]."""
         return time.perf_counter() - self._start
+
+    def count(self, stage):
+        """Count the time from now on as that of a stage."""
+        now = time.perf_counter()
+        self.spent[self._counted] = round(self.spent.get(self._counted, 0.0) + now - self._since, 3)
+        self._counted, self._since = SHOWN.get(stage, stage), now
+
+    def in_stages(self):
+        """Return in words how long the command has taken, and each stage."""
+        self.count(self._counted)
+        parts = (f"{stage} {time:.1f}" for stage, time in self.spent.items() if time >= 0.05)
+        return f"{self.seconds:.1f} s: {', '.join(parts)}"
 
     def __enter__(self):
         self._ended.clear()
@@ -111,6 +128,7 @@ class Status:
     def progress(self, stage, done, total):
         """Show that `done` of `total` parts of a stage are done."""
         _raise_forgotten()
+        self.count(stage)
         if self.quiet:
             return
         with self._lock:
@@ -153,6 +171,10 @@ class Status:
         May be called from another thread. Until all are done a stage that `progress` reports is
         named beside this bar and gets none of its own.
         """
+        if self._compiled_from is None and done < total:
+            self._compiled_from = time.perf_counter()
+        if self._compiled_from is not None:
+            self.spent[BESIDE] = round(time.perf_counter() - self._compiled_from, 3)
         if self.quiet:
             return
         with self._lock:

@@ -40,7 +40,6 @@ from rainsim.daylight.visibility import Window, solids_of, with_plane, with_spla
 from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import linear
-from rainsim.surface.fuse import VOXEL
 from rainsim.surface.ground_shade import hidden_at, lifted
 from rainsim.surface.views import FEWEST_CAMERAS
 from rainsim.surface.wall_parts import laid_on_walls
@@ -208,7 +207,8 @@ def _on_splats(scene, surface, gain):
     """Return the gain (n, 3), float16, of a scene's splats of that of its surface."""
     position, good = _placed(scene)
     light = linear(scene.splats.sh[good, 0] * np.float32(SH_0) + np.float32(0.5))
-    found, near = carried(surface, VOXEL, gain.astype(np.float32), position[good], light)
+    size = math.sqrt(np.median(surface.area))
+    found, near = carried(surface, size, gain.astype(np.float32), position[good], light)
     result = np.ones((len(good), 3), np.float16)
     result[np.flatnonzero(good)[near]] = found[near]
     return result

@@ -14,14 +14,14 @@ class PresentSplats:
 
     gain : array (n, 3) or None. See `daylight.relight.Relight`.
     diffuse : array (n, 3) or None. See `visibility.Views`.
-    reach, lawn : float32 array (ny, nx). See `diffuse.level_share`.
+    reach, lawn, bodies : array (ny, nx, ...). See `diffuse.level_share`.
     """
 
-    def __init__(self, scene, gain, diffuse, terrain, reach, lawn):
+    def __init__(self, scene, gain, diffuse, terrain, reach, lawn, bodies):
         self._captured, self._gain = scene.splats, gain
         self._level, self._diffuse = None, diffuse
         if diffuse is not None:
-            self._level = level_share(scene, terrain, reach, lawn)
+            self._level = level_share(scene, terrain, reach, lawn, bodies)
 
     def state(self, now):
         """Return the two numbers of 0 to 1 on which the colours depend at the settings of one time.

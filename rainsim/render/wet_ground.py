@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from rainsim.shading import wetness
-from rainsim.shading.bodies import BodyMap
+from rainsim.shading.bodies import BodyMap, body_map
 from rainsim.shading.surface_point import GroundMaps
 from rainsim.water.tracks import NO_TRACKS
 
@@ -45,7 +46,12 @@ class WetGround:
 
     def stand(self, actors):
         """Find the smooth bodies that stand on the ground, and where `actors` (or None) are."""
-        self.bodies = BodyMap(self.terrain, actors)
+        self.bodies = BodyMap(self.terrain, self.standing, actors)
+
+    @cached_property
+    def standing(self):
+        """The smooth bodies that stand on the ground, see `body_map`."""
+        return body_map(self.terrain)
 
     def wet(self, now):
         """Find how wet the ground is at the settings of one time."""

@@ -31,7 +31,7 @@ from rainsim.shading.wet_pass import NO_COVER, dry_picture, grade_and_wet
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import SkyMaps
 from rainsim.simulation import usual_wind
-from rainsim.surface.kept_surface import kept_surface, splat_normals
+from rainsim.surface.kept_surface import kept_normals, kept_surface
 from rainsim.terrain.assumed_bed import open_sheets
 
 BRIGHT_SKY = 0.15  # mean linear light above which splats of the sky show it
@@ -98,7 +98,7 @@ class WetScene:
         if relight.ground is not None:  # sunlit walls are left, so that `_relit` is not true
             gain = relight.ground[backdrop.kept]
         where = terrain, reach, self.ground.grass
-        present = PresentSplats(self.scene, gain, diffuse, *where)
+        present = PresentSplats(self.scene, gain, diffuse, *where, self.ground.standing)
         paged = None
         if scene.pages is not None:
             paged = PagedScene(
@@ -106,7 +106,7 @@ class WetScene:
             )  # fmt: skip
         normals = None
         if found is not None and paged is None:
-            normals = splat_normals(self.scene, found, own_sky[backdrop.kept])
+            normals = [a[backdrop.kept] for a in kept_normals(scene, found, own_sky)]
         self.capture = DrawnCapture(
             backdrop, self.scene, present, present.state(config.at(0.0)), bad, config.render.merge,
             terrain, paged, rasterizer_of, normals,

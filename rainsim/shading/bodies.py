@@ -41,15 +41,15 @@ class BodyMap:
     """Where smooth bodies stand and move on a part of the ground.
 
     terrain : Terrain. With the footprints of what moves over it.
+    still : ndarray. The map without what moves, see `body_map`.
     actors : ActorSplats or None. Whose time tells where the actors are; before
         they have one none is there.
     now : array (ny, nx, 3) or (0, 0, 3), uint8. See `body_map`.
-    still : ndarray. The same without what moves.
     moved : list of tuple of slice. Rows and columns in which the two differ.
     """
 
-    def __init__(self, terrain, actors=None):
-        self._terrain, self._actors, self.still = terrain, actors, body_map(terrain)
+    def __init__(self, terrain, still, actors=None):
+        self._terrain, self._actors, self.still = terrain, actors, still
         self._coming = {}
         self.move()
 

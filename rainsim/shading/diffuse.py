@@ -13,7 +13,7 @@ import numpy as np
 
 from rainsim.constants import SH_0
 from rainsim.numerics.blocks import in_blocks
-from rainsim.shading.bodies import EDGE, STEP, TOP, body_map
+from rainsim.shading.bodies import EDGE, STEP, TOP
 
 ON_TOP = 0.05  # m below the highest surface of its cell within which a splat lies open to the rain
 RINGS = (0.03, 8), (0.06, 16)  # m around a cell, and places on them that heights are compared at
@@ -23,22 +23,22 @@ GREEN = 0.15  # excess of green over the largest channel, of leaves
 STEPS = 16  # of wetness between which colours are made again
 
 
-def level_share(scene, terrain, reach, lawn):
+def level_share(scene, terrain, reach, lawn, bodies):
     """Return each splat's share in smooth surfaces that are open to the rain, float32, 0 to 1.
 
     That are level surfaces and smooth bodies.
 
     reach : float32 array (ny, nx). Share of the rain that reaches the ground.
     lawn : float32 array (ny, nx). Share of grass, which has no gloss to lose.
+    bodies : uint8 array (ny, nx, 3). See `bodies.body_map`.
     """
     cells = level_cells(terrain, reach, lawn)
     level = share_of_level(scene.splats, scene.ground_frame, terrain, cells)
-    return np.maximum(level, share_of_bodies(scene.splats, scene.ground_frame, terrain))
+    return np.maximum(level, share_of_bodies(scene.splats, scene.ground_frame, terrain, bodies))
 
 
-def share_of_bodies(splats, frame, terrain):
+def share_of_bodies(splats, frame, terrain, bodies):
     """Return how far each splat belongs to a smooth body, (n,) float32, 0 to 1; leaves do not."""
-    bodies = body_map(terrain)
     if not bodies.size:
         return np.zeros(len(splats), np.float32)
     place = frame.to_ground(splats.position.astype(np.float64))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.constants import HALF, ONE, ZERO
+from rainsim.constants import HALF, ONE, QUARTER, ZERO
 from rainsim.jit import TAKERS, cpu_kernel, none_taken, prange, take_next
 from rainsim.numerics.approximations import exp_minus
 from rainsim.splatting.lanes import MAX_ALPHA, TRANSMITTANCE_STOP
@@ -14,6 +14,7 @@ from rainsim.splatting.tiles import DIGITS, RECORD_MASK, sort_keys
 LN2 = np.float32(np.log(2))
 OPAQUE_MOST = np.float32(MAX_ALPHA)
 EIGHT = np.float32(8)
+EVERY = 8  # splats after which it is asked whether they hide all others
 
 
 @cpu_kernel
@@ -51,15 +52,26 @@ def weigh_tiles(record, entry, start, width, part, step, weight_out):
                     mine[j * columns + i] = np.float32(part[top + j * step, left + i * step])
             begin, end = start[tile], start[tile + 1]
             sort_keys(entry[begin:end], spare, histogram, end - begin)
+            sky = False
+            for n in range(rows * columns):
+                sky |= mine[n] > ZERO
+            hidden = False  # all that follows, which counts over the second part only
             for k in range(begin, end):
+                if hidden and not sky:
+                    weight_out[k] = ZERO
+                    continue
                 o = np.int64(entry[k] & RECORD_MASK)
                 level = record[o, R_LEVEL]
                 a, b, c = record[o, R_CONIC], record[o, R_CONIC + 1], record[o, R_CONIC + 2]
                 x = np.float32(left) + HALF - record[o, R_U]
                 y = np.float32(top) + HALF - record[o, R_V]
                 total, first, second, whole = ZERO, ZERO, ZERO, ZERO
+                # Of a row of pixels the level is greatest where b dy = -2 a dx.
+                fall = c - QUARTER * b * b / a
                 for j in range(rows):
                     dy = y + np.float32(j * step)
+                    if EIGHT * (level - fall * dy * dy) < MIN_ALPHA_LOG2 - HALF:
+                        continue
                     for i in range(columns):
                         dx = x + np.float32(i * step)
                         log2 = EIGHT * (level - a * dx * dx - b * dx * dy - c * dy * dy)
@@ -72,6 +84,10 @@ def weigh_tiles(record, entry, start, width, part, step, weight_out):
                         second += light * max(mine[j * columns + i], ZERO)
                         whole += alpha * max(mine[j * columns + i], ZERO)
                         first += light * max(-mine[j * columns + i], ZERO)
+                if k % EVERY == 0:
+                    hidden = True
+                    for n in range(rows * columns):
+                        hidden &= clear[n] <= TRANSMITTANCE_STOP
                 weight_out[k, 0], weight_out[k, 1] = first, second
                 weight_out[k, 2], weight_out[k, 3] = total - first - second, whole
             tile = take_next(taken)

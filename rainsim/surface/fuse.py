@@ -14,12 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rainsim.jit import cpu_kernel, get_num_threads, prange, serial_kernel
+from rainsim.jit import cpu_kernel, prange, serial_kernel
 from rainsim.numerics.blocks import in_blocks
 from rainsim.surface.views import DepthView
 from rainsim.surface.walls import to_walls
 
 VOXEL = 0.04  # m, within the radius of what the cameras look at; beyond it twice that, and so on
+COARSE = 1.75  # times that, of a pixel from which on voxels are twice as wide
 LEVELS = 8  # of voxels, each twice as large
 JUMP = np.float32(0.04)  # of the depth, between pixels: the edge of something
 SLACK, LEAST_SLACK = np.float32(0.015), np.float32(0.02)  # of the depth, and m: places that agree
@@ -54,16 +55,17 @@ class CaptureSurface(NamedTuple):
 def fused(views, middle, radius):
     """Return the `CaptureSurface` that depth pictures show.
 
-    Voxels are VOXEL wide within a radius [m] about `middle` [m], which the cameras look at.
+    Voxels are VOXEL wide within a radius [m] about `middle` [m], which the cameras look at, and
+    twice that where pixels are about as wide.
     """
     middle = np.asarray(middle, np.float32)
-    voxels = _Voxels()
+    voxels = _Voxels(VOXEL if pixel_of(views) < COARSE * VOXEL else 2 * VOXEL)
     for view in views:
         voxels.add(view, middle, np.float32(radius))
     sums = voxels.sums
     number = np.maximum(sums[:, 0], 1)[:, None]
     position = np.ascontiguousarray(sums[:, 1:4] / number + middle, np.float32)
-    size = VOXEL * 2.0 ** (voxels.keys >> 3 * KEY_BITS)
+    size = voxels.side * 2.0 ** (voxels.keys >> 3 * KEY_BITS)
     found = counted(position, size.astype(np.float32), views)
     least = LEAST_VIEWS if len(views) >= MANY else FEW_VIEWS
     solid = (found[:, 0] >= least) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
@@ -77,6 +79,13 @@ def fused(views, middle, radius):
     side = np.where(np.einsum("ij,ij->i", upright[wall], towards[wall]) < 0, -1, 1)
     normal[wall], flat[wall], smooth[wall] = upright[wall] * side[:, None], 1, position[wall]
     return thinned(CaptureSurface(smooth, normal, flat, light, size, found[solid, 0]))
+
+
+def pixel_of(views):
+    """Return the usual width of a pixel on the surfaces that depth pictures show [m]."""
+    shown = [(view, view.depth[view.depth < 1e6]) for view in views]
+    wide = [np.median(depth) / view.lens[0] for view, depth in shown if len(depth)]
+    return float(np.median(wide)) if wide else 0.0
 
 
 def evened(position, plain, towards, size, weight, views):
@@ -137,9 +146,10 @@ def thinned(surface):
     size = surface.size.astype(np.float64)
     place = np.floor(surface.position / size[:, None]).astype(np.int64)
     level = np.rint(np.log2(size / VOXEL)).astype(np.int64)
-    key = np.column_stack([level, place, surface.normal @ [1, 2, 4] > 0])
-    _, group = np.unique(key, axis=0, return_inverse=True)
-    group = group.ravel()
+    key = np.stack([level, *place.T, surface.normal @ [1, 2, 4] > 0])
+    key -= key.min(axis=1, keepdims=True, initial=0)
+    key = np.ravel_multi_index(tuple(key), tuple(key.max(axis=1, initial=0) + 1))
+    group = np.unique(key, return_inverse=True)[1]
     weight = surface.views.astype(np.float64)
     total = np.bincount(group, weight)
 
@@ -171,13 +181,14 @@ def counted(position, size, views):
 class _Voxels:
     """A hash table of voxels, which grows.
 
+    side : float [m]. Of the finest.
     keys : int64 array (n,). Level and place of each voxel.
     sums : float64 array (n, SUMS). Samples, and sums over them: place from the
         middle [m], colour, direction to the camera.
     """
 
-    def __init__(self):
-        self._count = 0
+    def __init__(self, side):
+        self.side, self._count = side, 0
         self._keys, self._sums = np.empty(0, np.int64), np.empty((0, SUMS))
         self._table = np.empty(0, np.int64)
 
@@ -199,7 +210,7 @@ class _Voxels:
             self._table = np.full(1 << (2 * size).bit_length(), -1, np.int64)
             fill_table(self.keys, self._table)
         self._count = add_view(
-            view, middle, radius, np.float32(VOXEL), self._count, self._table, self._keys,
+            view, middle, radius, np.float32(self.side), self._count, self._table, self._keys,
             self._sums,
         )  # fmt: skip
 
@@ -316,16 +327,18 @@ def planes(position, towards, size, plain):
     if k < 4:
         return normal, flat, smooth
     tree = cKDTree(position, compact_nodes=False, balanced_tree=False)
-    away, near = tree.query(position, k=k, workers=get_num_threads())
+    nearest = np.empty((count, min(AROUND, k)), np.int32)
 
     def work(part):
-        around = position[near[part]].astype(np.float64)
+        away, near = tree.query(position[part], k=k)
+        nearest[part] = near[:, :AROUND]
+        around = position[near].astype(np.float64)
         scale = 2.0 * size[part, None]
-        weight = np.exp(-0.5 * (away[part] / scale) ** 2)
+        weight = np.exp(-0.5 * (away / scale) ** 2)
         weight /= weight.sum(axis=1, keepdims=True)
         middle = np.einsum("ij,ijk->ik", weight, around)
         around -= middle[:, None]
-        spread = np.einsum("ij,ijk,ijl->ikl", weight, around, around)
+        spread = np.matmul((around * weight[:, :, None]).transpose(0, 2, 1), around)
         value, axes = np.linalg.eigh(spread)
         up = axes[:, :, 0]
         up *= np.where(np.einsum("ij,ij->i", up, towards[part]) < 0, -1, 1)[:, None]
@@ -338,4 +351,4 @@ def planes(position, towards, size, plain):
         smooth[part] += (lift[:, None] * up).astype(np.float32)
 
     in_blocks(work, count, 1 << 14)
-    return normal, np.median(flat[near[:, :AROUND]], axis=1), smooth
+    return normal, np.median(flat[nearest], axis=1), smooth

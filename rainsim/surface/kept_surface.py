@@ -25,6 +25,7 @@ from rainsim.surface.wall_parts import laid_on_walls
 KIND = "surface"
 SHADE, BARED = "shade ", "unveiled "  # before the names of what is kept of them
 FEWEST = 100  # splats
+STEPS = 4  # of some seconds, in which a surface is found
 # Shares of the light that a splat gives to pictures, that goes to the sky: of one that is sky, and
 # of one that is sky if it is as bright or alone and about as blue.
 MOSTLY, LIKELY = 0.5, 0.3
@@ -65,10 +66,10 @@ OWN = "sky", "aloft", "middle", "solid", "open"  # arrays of a `Found` itself
 _last = [None, None]  # name of the result that was asked for last, and the result
 
 
-def kept_surface(scene):
+def kept_surface(scene, step=lambda: None):
     """Return what the cameras of a scene show, as `Found`, from an earlier run if there was one.
 
-    None if there are fewer splats than FEWEST.
+    None if there are fewer splats than FEWEST. `step()` is called up to STEPS times.
     """
     if len(scene.splats) < FEWEST:
         return None
@@ -76,7 +77,7 @@ def kept_surface(scene):
     if _last[0] != name:
         entry = cache.read(KIND, name)
         if entry is None:
-            found = find_surface(scene)
+            found = find_surface(scene, step)
             arrays = {name: getattr(found, name) for name in OWN}
             arrays |= found.surface._asdict()
             if found.unveiled is not None:
@@ -100,8 +101,8 @@ def kept_surface(scene):
     return _last[1]
 
 
-def find_surface(scene):
-    """Return what the cameras of a scene show, as `Found`."""
+def find_surface(scene, step=lambda: None):
+    """Return what the cameras of a scene show, as `Found`; `step()` is called STEPS times."""
     frame, splats = scene.ground_frame, scene.splats
     with np.errstate(all="ignore"):
         position = frame.to_ground(splats.position).astype(np.float32)
@@ -112,10 +113,13 @@ def find_surface(scene):
     cameras = cameras_of(scene, middle, half)
     rasterizer = Rasterizer(prepare(splats))
     views = depth_views(scene, cameras, rasterizer)
+    step()
     colors = SkyColors(views)
     parts = colors.parts(views)
     leave_out_sky(views, colors.no_surface(views, parts))
+    step()
     surface = fused(views, middle, half)
+    step()
     near = _nearest(surface.position, position, good)
     sky = np.zeros(len(position), bool)
     casters, aloft, bared = good, np.full(len(position), not scene.cameras), None
@@ -128,6 +132,7 @@ def find_surface(scene):
             bare, bared = unveiled(scene, sky, rasterizer, pictures)
             sky |= bare & good
         casters = good & ~(sky & alone)  # what looks like sky on a thing throws the thing's shade
+    step()
     solid = _solid(position, near, splats, casters, views, frame, surface)
     picture = ground_picture(views)
     shade = None if picture is None else ground_shade(picture)
@@ -198,6 +203,17 @@ def _nearest(places, position, good=None):
         tree = cKDTree(places, compact_nodes=False, balanced_tree=False)
         away[good], place[good] = tree.query(position[good], workers=get_num_threads())
     return away, place
+
+
+def kept_normals(scene, found, sky):
+    """Return what `splat_normals` does, from an earlier run if there was one."""
+
+    def made():
+        return dict(zip(("normal", "share"), splat_normals(scene, found, sky), strict=True))
+
+    place = scene.splats, scene.ground_frame, scene.cameras
+    arrays = cache.kept_arrays("normals", made, *place, sky)
+    return arrays["normal"], arrays["share"]
 
 
 def splat_normals(scene, found, sky):

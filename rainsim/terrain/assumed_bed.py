@@ -106,6 +106,7 @@ class PoorGround:
         else:
             self._eyes = eyes[np.abs(eyes[:, 2] - height) < WINDOW * height]  # others are misplaced
             self.level = level_below(self._eyes)
+            self.level = _between(*_sampled(self.level, grid))
         self.layer = min(LAYER * scatter, WENT * self._reach)
 
     @classmethod
@@ -248,10 +249,21 @@ def smooth_level(followed, grid):
 
     It has no hollows: those of dry ground are a puddle's, and nobody knows them to the centimetre.
     """
-    coarse = [np.arange(grid.origin[k], grid.origin[k] + grid.size[k] + CELL, CELL) for k in (0, 1)]
-    height = ndimage.gaussian_filter(followed(*np.meshgrid(*coarse)), SMOOTH / CELL)
+    height, coarse = _sampled(followed, grid)
+    height = ndimage.gaussian_filter(height, SMOOTH / CELL)
     rim = np.pad(np.full(np.array(height.shape) - 2, height.max()), 1, constant_values=-np.inf)
-    height = reconstruction(np.maximum(rim, height), height, "erosion")
+    return _between(reconstruction(np.maximum(rim, height), height, "erosion"), coarse)
+
+
+def _sampled(level, grid):
+    """Return heights of a level over a grid, on a lattice of CELL, and x and y of the lattice."""
+    coarse = [np.arange(grid.origin[k], grid.origin[k] + grid.size[k] + CELL, CELL) for k in (0, 1)]
+    x, y = np.meshgrid(*coarse)
+    return level(x, y).reshape(x.shape), coarse
+
+
+def _between(height, coarse):
+    """Return the level between the heights of a lattice, a function of arrays of x and y."""
 
     def level(x, y):
         place = [(np.ravel(y) - coarse[1][0]) / CELL, (np.ravel(x) - coarse[0][0]) / CELL]

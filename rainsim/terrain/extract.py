@@ -17,6 +17,7 @@ from rainsim.errors import GroundError, ParameterError
 from rainsim.lod.held_parts import scene_over
 from rainsim.scene.ground import STRAY
 from rainsim.scene.types import Camera, pose_at
+from rainsim.surface.kept_surface import STEPS as SURFACE_STEPS
 from rainsim.surface.kept_surface import kept_surface
 from rainsim.surface.sweep import ground_sweep
 from rainsim.terrain import assumed_bed, filters, types
@@ -63,9 +64,9 @@ def extract_terrain(scene, config, mask=None, tell=None):
         )
     scene = scene_over(scene, grid)
     parts = list(pieces(grid))
-    step = _steps(tell, notes, STEPS * len(parts) + 2)
-    cloud = _Cloud(scene, grid)
-    step()
+    step = _steps(tell, notes, SURFACE_STEPS + STEPS * len(parts) + 2)
+    cloud = _Cloud(scene, grid, step=step)
+    step(SURFACE_STEPS + 1)
     maps = _empty_maps(grid)
     left_out = np.zeros(len(cloud.position), bool)
     for core, inner, piece in parts:
@@ -76,8 +77,7 @@ def extract_terrain(scene, config, mask=None, tell=None):
             else:
                 maps[name][core] = values[inner]
     source, bed, top, underside = (maps[n] for n in ("source", "bed", "top", "underside"))
-    seen = np.mean(source != UNKNOWN)
-    if seen < LEAST_GROUND and (cloud.poor is None or not seen):
+    if (seen := np.mean(source != UNKNOWN)) < LEAST_GROUND and (cloud.poor is None or not seen):
         raise GroundError(
             f"only {seen:.1%} of the map of {grid.size[0]:g} x {grid.size[1]:g} m shows "
             f"ground within {SLAB:g} m of the ground plane, from {len(scene.splats):,} splats; "
@@ -96,9 +96,9 @@ def extract_terrain(scene, config, mask=None, tell=None):
         tops = find_tops(terrain, scene)
     else:
         terrain = replace(terrain, layer=cloud.poor.layer_map(terrain, OCCLUDER_HEIGHT))
-    removed = int(np.count_nonzero(left_out))
     step()
-    notes += (*cloud.notes, *_report(terrain, removed, mask), *pond_notes, *note_of(tops))
+    about = _report(terrain, int(np.count_nonzero(left_out)), mask)
+    notes += (*cloud.notes, *about, *pond_notes, *note_of(tops))
     return replace(terrain, notes=notes, tops=tops)
 
 
@@ -136,12 +136,12 @@ def _over(scene, grid):
 
 
 def _steps(tell, notes, total):
-    """Return a function to be called after each step, which counts and tells them."""
+    """Return a function to be called after each step, with how many are done at least."""
     done = 0
 
-    def step():
+    def step(least=0):
         nonlocal done
-        done += 1
+        done = max(done + 1, least)
         if tell is not None:
             tell(notes, done, total)
 
@@ -297,7 +297,7 @@ class _Cloud:
     `below_ceiling`, `overhead`) tell which part.
     """
 
-    def __init__(self, scene, grid, level=None, found=None):
+    def __init__(self, scene, grid, level=None, found=None, step=lambda: None):
         self.frame = scene.ground_frame
         position, reach, over = _over(scene, grid) if found is None else found
         (x0, y0), (width, depth) = grid.origin, grid.size
@@ -339,7 +339,7 @@ class _Cloud:
         self.sweep = None
         # Generated scenes were not photographed; along a drive pictures take too long.
         photographed = scene.source is not None and scene.cameras and scene.pages is None
-        found = kept_surface(scene) if photographed else None
+        found = kept_surface(scene, step) if photographed else None
         if photographed and self.poor is None:
             self.sweep = ground_sweep(scene, found)
         self.places = self.position if found is None else found.surface.position

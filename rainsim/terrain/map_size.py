@@ -17,7 +17,9 @@ CAMERA_REACH = 1.5  # half widths of the map per camera's distance from its cent
 STREET_MARGIN = 6.0  # m beyond cameras that roam farther than that is
 STREET_AHEAD = 14.0  # m of ground before such cameras: there a pixel still shows a puddle
 MOST_CELLS = 24_000_000  # of a map: some 2 GB while it is made
-AUTO_CELLS = 4_000_000  # of a map whose cell size is chosen: some 800 MB while it is made
+# Of a map whose cell size is chosen: half as wide cells take three times as long, and of what is
+# so wide, cameras show the most part from far away.
+AUTO_CELLS = 2_000_000
 USUAL_SPACING, LARGEST_SPACING = 0.02, 0.5  # m; a puddle's edge needs cells well below its width
 LEAST_ACROSS = 128  # cells, of a small map
 ROUND_STEPS = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
@@ -127,7 +129,7 @@ def choose_spacing(half, gap=0.0, footprint=None, cells=AUTO_CELLS):
         (min(USUAL_SPACING, 2 * half.min() / LEAST_ACROSS), "as usual"),
         (gap / 2, f"splats lie {gap * 100:.2g} cm apart"),
         (footprint or 0.0, "the cameras' pixels"),
-        (math.sqrt(4 * half.prod() / cells), "to fit the memory"),
+        (math.sqrt(4 * half.prod() / cells), "the map is wide"),
     ]
     if choices[0][0] < USUAL_SPACING:
         choices[0] = (choices[0][0], "the map is small")

@@ -19,7 +19,7 @@ from rainsim.config.settings import TerrainConfig
 from rainsim.errors import BackendError, ParameterError, counted
 from rainsim.terrain.extract import MARGIN, arrays_over, pieces
 from rainsim.terrain.kept_terrain import kept_terrain
-from rainsim.terrain.map_size import AUTO_CELLS, MOST_CELLS, USUAL_SPACING, choose_grid
+from rainsim.terrain.map_size import MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.types import NO_TOPS, UNKNOWN, Grid, Terrain
 
 BEHIND, AHEAD, ASIDE = 4.0, 20.0, 5.0  # m about a camera that a leg holds, along its view
@@ -33,7 +33,7 @@ PIECE = 1_000_000  # cells of a leg's map that are made at once, with their marg
 OVERLAP = 1.0  # s before its first frame that a leg's water is simulated
 OVERVIEW_CELLS = 400_000  # of the coarse map
 MAPS = "bed", "top", "underside", "source", "ground_class", "noise"
-WIDER = 1.25  # times the usual cells: those of one map for all from which on legs are taken
+WIDE = 2500.0  # m2 of one map for all, from which on legs are taken: its cells would be coarse
 
 
 class Leg(NamedTuple):
@@ -215,7 +215,7 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
         return False
     area = np.prod(choose_grid(scene, TerrainConfig())[0].size)
     if terrain.spacing is None:
-        return bool(area > AUTO_CELLS * (WIDER * USUAL_SPACING) ** 2)
+        return bool(area > WIDE)
     return bool(area > MOST_CELLS * terrain.spacing**2)
 
 

@@ -11,6 +11,7 @@ from rainsim.constants import SH_0
 from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.types import Scene
 from rainsim.shading import visibility
+from rainsim.shading.bodies import body_map
 from rainsim.shading.diffuse import STEPS, level_share, levelness, step_of, without_gloss
 from rainsim.terrain.surface import terrain_from_heights
 from rainsim.terrain.types import Grid
@@ -82,6 +83,10 @@ def test_a_table_is_level_up_to_its_edge_and_a_slope_is_not():
     assert levelness(rough, 0.02).mean() < 0.1
 
 
+def share_of(scene, terrain, reach, lawn):
+    return level_share(scene, terrain, reach, lawn, body_map(terrain))
+
+
 def test_open_level_splats_count_and_others_do_not():
     height = np.zeros((80, 80), np.float32)
     height[30:50, 30:50] = 0.7
@@ -92,16 +97,16 @@ def test_open_level_splats_count_and_others_do_not():
     splats = splats_at(frame.to_capture(place), np.zeros((5, 1, 3)))
     scene = Scene("table", splats, (), frame)
     full, none = np.ones((80, 80), np.float32), np.zeros((80, 80), np.float32)
-    found = level_share(scene, terrain, full, none)
+    found = share_of(scene, terrain, full, none)
     np.testing.assert_allclose(found, [1, 1, 0, 0, 0], atol=0.05)
-    found = level_share(scene, terrain, none, none)  # no rain reaches the ground: a roof
+    found = share_of(scene, terrain, none, none)  # no rain reaches the ground: a roof
     np.testing.assert_allclose(found, [1, 0, 0, 0, 0], atol=0.05)
-    found = level_share(scene, terrain, full, full)  # grass
+    found = share_of(scene, terrain, full, full)  # grass
     np.testing.assert_allclose(found, [1, 0, 0, 0, 0], atol=0.05)
     box = dataclasses.replace(terrain, underside=terrain.bed)
-    np.testing.assert_allclose(level_share(scene, box, full, none), [1, 1, 1, 0, 0], atol=0.05)
+    np.testing.assert_allclose(share_of(scene, box, full, none), [1, 1, 1, 0, 0], atol=0.05)
     leaves = dataclasses.replace(scene, splats=splats_at(splats.position, [[[0.0, 0.5, 0]]] * 5))
-    np.testing.assert_allclose(level_share(leaves, box, full, none), [1, 1, 0, 0, 0], atol=0.05)
+    np.testing.assert_allclose(share_of(leaves, box, full, none), [1, 1, 0, 0, 0], atol=0.05)
 
 
 def test_without_gloss_a_splat_looks_the_same_from_all_sides(rng):

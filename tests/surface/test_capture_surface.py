@@ -60,6 +60,17 @@ def test_the_surface_lies_on_what_was_captured(found):
     assert ground.sum() > 1000 and np.median(found.surface.normal[ground, 2]) > 0.99
 
 
+def test_wide_pixels_have_wider_voxels(found, yard, monkeypatch):
+    monkeypatch.setattr(fuse, "COARSE", 0.0)
+    steps = []
+    wide = kept_surface.find_surface(yard, lambda: steps.append(1)).surface
+    assert len(steps) == kept_surface.STEPS
+    assert np.median(wide.size) == pytest.approx(2 * fuse.VOXEL)
+    assert np.median(found.surface.size) == pytest.approx(fuse.VOXEL)
+    assert len(wide.position) < 0.5 * len(found.surface.position)
+    assert np.median(off_the_faces(wide.position.astype(float))) < 0.015
+
+
 def test_what_cameras_look_through_is_no_surface(yard):
     haze = floating(yard, (0.9, -0.3, 0.9), spread=0.15, opacity=0.3)
     hazy = kept_surface.find_surface(replace(yard, splats=joined([yard.splats, haze])))
@@ -375,7 +386,7 @@ def test_few_splats_have_no_surface(yard):
 def test_it_is_kept_for_the_next_run(yard, found, tmp_path, monkeypatch):
     monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
     monkeypatch.setattr(kept_surface, "_last", [None, None])
-    monkeypatch.setattr(kept_surface, "find_surface", lambda scene: found)
+    monkeypatch.setattr(kept_surface, "find_surface", lambda scene, step: found)
     kept_surface.kept_surface(yard)
     monkeypatch.setattr(kept_surface, "_last", [None, None])
     monkeypatch.setattr(kept_surface, "find_surface", None)  # to call it would be an error
@@ -384,6 +395,11 @@ def test_it_is_kept_for_the_next_run(yard, found, tmp_path, monkeypatch):
         np.testing.assert_array_equal(getattr(again.surface, name), values)
     np.testing.assert_array_equal(again.solid, found.solid)
     assert again.half == found.half
+    sky = np.zeros(len(yard.splats), bool)
+    normals = kept_surface.kept_normals(yard, found, sky)
+    monkeypatch.setattr(kept_surface, "splat_normals", None)
+    for values, kept in zip(normals, kept_surface.kept_normals(yard, found, sky), strict=True):
+        np.testing.assert_array_equal(kept, values)
 
 
 def test_cameras_are_made_up_where_there_are_none(yard):

@@ -137,7 +137,7 @@ def test_it_is_kept_for_the_next_run(shadow, tmp_path, monkeypatch):
     found = kept_surface.Found(surface, sky, sky, maps[0, :3], maps, maps > 0, 3.0, shadow[1])
     splats = factories.splats(np.zeros((100, 3)))
     scene = Scene("made", splats, (), GroundFrame(np.eye(3), 1.0, np.zeros(3)), None, "0" * 64, ())
-    for find in (lambda _: found, None):  # to call it again would be an error
+    for find in (lambda *_: found, None):  # to call it again would be an error
         monkeypatch.setattr(kept_surface, "_last", [None, None])
         monkeypatch.setattr(kept_surface, "find_surface", find)
         again = kept_surface.kept_surface(scene).shade

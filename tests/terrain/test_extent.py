@@ -62,8 +62,8 @@ def test_a_drive_sees_what_lies_ahead_of_its_end():
         (0.5, 0.001, None, 0.006, "the map is small"),
         (4.0, 0.10, 0.001, 0.05, "splats lie 10 cm apart"),
         (8.0, 0.01, 0.03, 0.03, "the cameras' pixels"),
-        (400.0, 0.01, None, 0.4, "to fit the memory"),
-        (4000.0, 0.01, None, 0.5, "to fit the memory"),
+        (400.0, 0.01, None, 0.5, "the map is wide"),
+        (4000.0, 0.01, None, 0.5, "the map is wide"),
     ],
 )
 def test_the_cell_size_follows_from_what_can_be_seen(half, gap, footprint, spacing, why):

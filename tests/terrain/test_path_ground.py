@@ -235,7 +235,7 @@ def test_auto_takes_legs_where_one_map_would_be_too_coarse(scene, monkeypatch):
         return follows_path(scene, config, cameras, backend, mask)
 
     assert not auto() and not auto(spacing=None)
-    monkeypatch.setattr(path_ground, "AUTO_CELLS", 20_000)
+    monkeypatch.setattr(path_ground, "WIDE", 12.5)
     monkeypatch.setattr(path_ground, "MOST_CELLS", 20_000)
     assert auto() and auto(spacing=None)
     assert not auto(cameras=DRIVE[:1]) and not auto(backend="cuda") and not auto(extent=2.0)
