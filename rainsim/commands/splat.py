@@ -61,7 +61,7 @@ _splat_options = group(
 @options.backend_option
 @options.json_option
 def splat(scene, out, overwrite, as_json, **given):
-    """Draw the dry capture SCENE from a camera, without looking for its ground.
+    """Draw the dry capture SCENE from a camera; the views of one without are those of `run`.
 
     Arrays: rgb (height, width, 3) display-referred over the background; alpha; depth in capture
     units, infinite where nothing is; normal in the capture frame, zero where nothing is. As in the

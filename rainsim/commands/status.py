@@ -14,7 +14,7 @@ from rainsim.errors import one_line
 
 LOUD = ("ASSUMED", "WARNING", "NOT TO BE BELIEVED")  # words of notes that are printed bold
 READING = "scene"  # the stage before all others
-SHOWN = ("scale", "up, plane and scale", "ground:", "relight:", "sky:", "camera ", "drive:")
+SHORT = ("scale", "up, plane and scale", "ground:", "relight:", "sky:", "camera ", "drive:")
 QUARTERS = 4  # without a terminal compiling reports this often at least
 BEAT = 10.0  # s after which a stage reports again without a terminal
 TICK = 1.0  # s between looks at the clock
@@ -104,7 +104,7 @@ class Status:
     def notes(self, notes):
         """Print notes that were not printed before, as indented lines.
 
-        Unless `verbose` those that begin as SHOWN says, up to their first semicolon, and all LOUD.
+        Unless `verbose` those that begin as SHORT says, up to their first semicolon, and all LOUD.
         """
         for note in notes:
             if note not in self._said:
@@ -113,7 +113,7 @@ class Status:
                 loud = any(word in note for word in LOUD)
                 if loud or self.verbose:
                     self.say(note, "  ", bold=loud)
-                elif note.startswith(SHOWN):
+                elif note.startswith(SHORT):
                     self.say(note.split("; ")[0], "  ")
 
     def progress(self, stage, done, total):

@@ -39,7 +39,7 @@ def from_code():
 def test_the_contents_name_every_page_once(from_code):
     listed = " ".join(from_code.CONTENTS.values()).split()
     there = [path.relative_to(DOCS).with_suffix("").as_posix() for path in DOCS.rglob("*.md")]
-    assert sorted([*listed, "index"]) == sorted(there)
+    assert sorted([*listed, "index"]) == sorted(there), "list the page in docs/from_code.py"
 
 
 @pytest.mark.parametrize("path", SHOWN)
@@ -193,7 +193,9 @@ def test_maps_show_the_code_as_it_is():
     """After a change of rooms, passes or streams: `python docs/drawings.py`."""
     maps = module_of("drawings")
     for name, draw in maps.DRAWINGS.items():
-        assert (maps.FOLDER / f"{name}.svg").read_text(encoding="utf-8") == draw(), name
+        assert (maps.FOLDER / f"{name}.svg").read_text(encoding="utf-8") == draw(), (
+            f"{name} is out of date: run `python docs/drawings.py`"
+        )
     assert len(maps.order()) > 25 and {"main", "aside", "beside"} < set(maps.launches().values())
 
 
