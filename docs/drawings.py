@@ -97,7 +97,7 @@ def short(words):
 
 def rooms():
     """Draw the order of imports with what each room makes."""
-    page = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/developers/architecture.md").read_text(encoding="utf-8")
     makes = dict(re.findall(r"^\| `rainsim/(\w+)/` \| ([^|]+) \|", page, re.M))
     lines, step = order(), 20
     parts = [text(14, 24, "Rooms and files of the root, in the order of imports", "t"),

@@ -267,14 +267,12 @@ def counts():
 CONTENTS = {
     "Begin": "start capture recipes gallery limits compared",
     "Roads": "roads/film roads/perception roads/hydraulics",
-    "Subjects": "concepts conventions ground water rain light wet splatting lanes layers actors "
-    "worlds big datasets sensors view cuda many_machines",
+    "How it works": "concepts ground water rain light conventions measurements",
+    "Subjects": "view layers actors worlds big datasets sensors cuda many_machines",
     "Reference": "reference/commands reference/settings reference/files reference/python "
-    "reference/counts architecture",
-    "Measurements": "measurements measurements/frame-cpu measurements/frame-gpu "
-    "measurements/splatting measurements/reflections measurements/day measurements/rain validate "
-    "measurements/water measurements/hydraulics measurements/ground measurements/start",
-    "Project": "release changelog contributing security",
+    "reference/counts",
+    "Project": "changelog contributing security developers/architecture developers/splatting "
+    "developers/lanes developers/gpu developers/validate developers/release",
 }
 
 

@@ -95,7 +95,7 @@ def cli():
     \b
     Example:
         rainsim run                                   a downpour on the built-in bicycle
-        rainsim run --scene my-capture --preset downpour --orbit --video
+        rainsim run my-capture --preset downpour --orbit --video
     """
 
 

@@ -155,14 +155,6 @@ class Page:
             seen.append(look())
         return seen[-1]
 
-    def colored(self, of):
-        """Return rows and columns (n, 2) of the page's pixels for which of(screen) is true.
-
-        Right of the picture's middle panels may lie: the left two thirds count.
-        """
-        screen = self.screen()
-        return np.argwhere(of(screen[:, : 2 * screen.shape[1] // 3]))
-
     def drag(self, dx=60, dy=0, steps=6, pause=0):
         """Turn the camera by a drag on the picture."""
         mouse = self.page.mouse

@@ -68,3 +68,13 @@ def links(path):
     """Return the targets of a page's links."""
     text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.M | re.S)
     return LINK.findall(text)
+
+
+def sentences(path):
+    """Return the sentences of a page, without code, formulas, links' targets and tables' bars."""
+    text = path.read_text(encoding="utf-8")
+    text = re.sub(r"^```.*?^```|!\[[^\]]*\]|^ {4}\S.*?$|\$\$.*?\$\$", "", text, flags=re.M | re.S)
+    text = re.sub(r"`[^`]*`|\$[^$]*\$", "x", re.sub(r"\]\([^)\s]+\)", "]", text))
+    parts = re.split(r"\n\s*\n|\n\s*(?:[-|#>]|\d+\.) |\|", text)
+    found = [one for part in parts for one in re.split(r"[.!?][)*\"]*(?:\s|$)", part)]
+    return [" ".join(one.split()) for one in found if one.strip()]

@@ -24,27 +24,14 @@ SIMULATION = "simulation.json"
 VERSION = 1  # of simulation.json; those without a version are of version 1
 
 
-@click.command(short_help="Draw a scene in the rain, from capture to frames.")
-@options.scene_option
-@options.preset_option
-@options.rain_options
-@options.light_options
-@options.camera_options
-@options.picture_options
-@options.optics_options
-@options.shutter_option
-@options.big_options
-@options.backend_option
-@options.shared_range_option
-@options.farm_options
-@options.ground_options
-@options.terrain_options
-@options.ground_map_option
-@options.mask_options
-@options.resume_option
-@options.output_options("rainsim-out/SCENE-PRESET")
-def run(scene, **given):
-    """Draw a scene in the rain, all steps from a capture to frames.
+@click.command(cls=options.Grouped, short_help="Draw a scene in the rain, from capture to frames.")
+@click.argument("place", metavar="[SCENE]", required=False)
+@options.run_options
+def run(place, scene, **given):
+    """Draw SCENE in the rain, all steps from a capture to frames.
+
+    SCENE is a name from `rainsim scenes`, a trained model's folder, a splat file or a scene folder;
+    without it the built-in bicycle is drawn.
 
     Writes DIR/frames/00000.png and so on, preview.webp, transforms.json (the frames' cameras) and
     provenance.json (command, settings, versions, ground frame, account of the water).
@@ -52,9 +39,12 @@ def run(scene, **given):
     \b
     Example:
         rainsim run
-        rainsim run --scene garden/ --preset moderate --camera DSC07956
-        rainsim run --scene garden/ --rain 50 --wind 4,90 --orbit --frames 48 --out wet
+        rainsim run garden/ --preset moderate --camera DSC07956
+        rainsim run garden/ --rain 50 --wind 4,90 --orbit --frames 48 --out wet
     """
+    if place and scene:
+        raise ParameterError(f"SCENE {place} and --scene {scene} are both given; leave one out")
+    scene = place or scene or "bicycle"
     job = FilmJob(given)
     masks = job.read_masks()
     with job.compiling(uses_of(scene, job.config, job.layers, job.backend)):
@@ -191,6 +181,7 @@ def _write_simulation(job, record, source, map_file, origin):
 @options.ground_options
 @options.resume_option
 @options.output_options("rainsim-out/STATES-frames")
+@options.verbose_option
 def render(states, scene, **given):
     """Draw frames from STATES, a folder that `rainsim simulate` wrote, for any camera.
 
@@ -301,7 +292,12 @@ class FilmJob(Job):
 
     def __init__(self, given, base=None):
         super().__init__(given, base)
+        from rainsim.output_folder import require_empty
+
         _check_farm(given)
+        if self.out is not None:
+            shared = given.get("frame_range") is not None
+            require_empty(self.out, self.overwrite or self.resume or shared)
         require_backend(self.backend)
         start = round(first_frame(given, self.config.fps))
         self.video = format_of(given, start)
@@ -335,6 +331,7 @@ class FilmJob(Job):
         from rainsim.pipeline import FrameSequence
 
         cameras = view_on(self.scene, ground, self.cameras, config, self.given, self.status)
+        self.tell_ground(ground)
         self.status.notes(self.memory_notes(cameras, ground.cells))
         return FrameSequence(
             self.scene, ground, cameras, config, self.backend, self.layers, states, self.exr,
@@ -368,7 +365,7 @@ class FilmJob(Job):
             record = output_folder.Record(self.out, self.scene, content, **facts)
             record.facts["stages"] = status.spent  # seconds, as far as stages are over
             run = self.out, record, sequence.cameras, config, self.video
-            forecast, given = Forecast(status, *run), self.given
+            forecast, given = Forecast(status, self.out), self.given
             if given.get("workers") or given.get("scheduler"):
                 farm = given, self.backend, self.pool
                 reports = _draw_with_workers(forecast, sequence, run, self.resume, *farm)

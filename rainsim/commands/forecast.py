@@ -11,6 +11,7 @@ from rainsim.errors import ParameterError, RainsimError
 
 FRAMES = "frames"  # the stage that is looked at
 MOST_UNSAID = 10  # frames; a run that draws no more of them is over soon
+LONG = 60.0  # s that are left, beyond which it is always said
 DRAWN = 3  # frames after which it is said
 MEASURED = 3  # finished frames at most whose files are looked at
 
@@ -57,13 +58,11 @@ def exr_of(given, fps, names, start=0):
 class Forecast:
     """Shows the progress of a run as `Status` does, and says once what all of it will take.
 
-    `folder` is that of the frames, `config` has the frames that this process cares for. The record
-    and the cameras are not needed: a run is handed on as it is.
+    `folder` is that of the frames.
     """
 
-    def __init__(self, status, folder, record, cameras, config, video):
-        self._status, self._folder, self._video = status, folder, video
-        self._config = config
+    def __init__(self, status, folder):
+        self._status, self._folder = status, folder
         self._frames = None if status.quiet else StageProgress(FRAMES)
         self.say, self.notes, self.count = status.say, status.notes, status.count
 
@@ -90,9 +89,7 @@ class Forecast:
 
         each = self._bytes_of_frames()
         sizes = {name: number * total for name, number in each.items()}
-        if self._video:
-            sizes["video"] = self._bytes_of_video()
-        needed = sum(each.values()) * (total - done) + sizes.get("video", 0)
+        needed = sum(each.values()) * (total - done)
         parts = ", ".join(f"{name} {in_bytes(size)}" for name, size in sizes.items())
         text = (
             f"{total} frames take about {in_words(self._status.seconds + left)} in all, until "
@@ -106,7 +103,8 @@ class Forecast:
                 f"{in_bytes(needed)} are still to be written; make room, or stop and give "
                 "another --out"
             )
-        self.say(text, bold=needed > free)
+        if self._status.verbose or needed > free or left > LONG:
+            self.say(text, bold=needed > free)
 
     def _finished(self):
         """Return entries of the journal of finished frames, by index."""
@@ -126,15 +124,6 @@ class Forecast:
                 size = (self._folder / name).stat().st_size
                 sizes[name.split("/")[0]] += size / len(entries)
         return {name: size for name, size in sizes.items() if size > 0}
-
-    def _bytes_of_video(self):
-        """Return about how much the video takes, after a try with finished frames."""
-        from rainsim.io.images import read_image
-        from rainsim.io.video import bytes_of_video
-        from rainsim.render.frame_files import FRAME
-
-        pictures = [read_image(self._folder / FRAME.format(index)) for index in self._finished()]
-        return bytes_of_video(pictures, self._config.frames, self._config.fps, self._video)
 
 
 def clock_time(seconds):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 from rainsim.errors import ParameterError
 
@@ -140,6 +141,7 @@ def scene_of(name, given):
     names = ("cameras", "up", "meters_per_unit", "camera_height", "ground_frame", "photos",
              "spz_frame")  # fmt: skip
     require_own_cameras(given.get("cameras"))
+    _check_camera(name, given)
     found, length = {n: given.get(n) for n in names}, given.get("known_length")
     found["meters_per_unit"] = _scale_in_space(length) or found["meters_per_unit"]
     scene = load_scene(name, **found)
@@ -155,6 +157,22 @@ def scene_of(name, given):
         frame = with_fall(scene.ground_frame, percent / 100, math.radians(direction))
         scene = replace(scene, ground_frame=frame)
     return scene
+
+
+def _check_camera(name, given):
+    """Raise ParameterError if a capture's cameras lack the one that is asked for."""
+    from rainsim.scene.cameras import load_cameras
+    from rainsim.scene.folder import ACTORS_FILE, SCENE_FILE, cameras_beside, locate
+    from rainsim.scene.library import find_scene
+
+    path, own = find_scene(name), given.get("cameras")
+    if given.get("camera") is None or path is None:
+        return
+    if own is None and any((path / file).is_file() for file in (SCENE_FILE, ACTORS_FILE)):
+        return  # it is read at once
+    cameras, _ = cameras_beside(*locate(path)) if own is None else load_cameras(own)
+    if cameras:
+        named_camera(SimpleNamespace(name=name, cameras=tuple(cameras)), given["camera"])
 
 
 def require_own_cameras(cameras):
@@ -350,7 +368,7 @@ def view_on(scene, terrain, cameras, config, given, status):
     about = "which shows most water; --camera takes another"
     if not scene.cameras:
         last = offered.cameras[-1].name
-        about = f"offered as view_00 to {last} are; --camera, or --eye and --look-at, takes another"
+        about = f"one of view_00 to {last} (--camera, or --eye and --look-at, takes another)"
     status.notes([f"camera {chosen.name} is drawn, {about}"])
     return _sized([chosen], config)
 

@@ -26,7 +26,7 @@ class Job:
     def __init__(self, given, base=None):
         self.out, self.overwrite = given.pop("out"), given.pop("overwrite", False)
         self.resume, self.as_json = given.pop("resume", False), given.pop("as_json", False)
-        self.status = Status(given.pop("quiet"))
+        self.status = Status(given.pop("quiet"), given.pop("verbose", True))
         self.preset, self.given = given.pop("preset", None), given
         self.config = settings(self.preset, given, base)
         check_options(given)
@@ -76,6 +76,20 @@ class Job:
         )
         self.status.notes(scene.notes)
         self.status.notes(scene.ground_frame.notes)
+
+    def tell_ground(self, ground):
+        """Say how large the ground is that was found, and how much of it is known."""
+        import numpy as np
+
+        from rainsim.terrain.types import MEASURED
+
+        whole = getattr(ground, "overview", ground)
+        (ny, nx), spacing = whole.grid.shape, whole.grid.spacing
+        puddles = "assumed" if whole.layer.size else "as measured"
+        self.status.notes([
+            f"ground: {nx * spacing:.3g} x {ny * spacing:.3g} m, "
+            f"{np.mean(whole.source == MEASURED):.0%} measured, puddles {puddles}"
+        ])  # fmt: skip
 
     def find_cameras(self):
         """Find the frames' cameras; the settings get the number of frames that a path has."""

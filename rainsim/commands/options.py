@@ -12,6 +12,13 @@ import click
 from rainsim.config.preset_files import DEFAULT_PRESET
 from rainsim.config.tables import SETTINGS
 
+HEADINGS = "scene", "rain", "look", "camera", "output", "where it is drawn"  # the last: all else
+HEADING_OF = {"frames": "output", "fps": "output", "exposure": "camera"}  # elsewhere for others
+USUAL = frozenset((
+    "preset", "up", "camera_height", "rain", "past_rain", "drying", "wind", "water_level",
+    "sun", "cloudiness", "sky", "brightness", "ripples", "camera", "path", "orbit", "drive",
+    "frames", "width", "video", "resume", "out", "overwrite", "verbose", "help_all",
+))  # fmt: skip
 WIDTH = 648  # px, where neither a width nor a height is given
 PRESETS = "the preset's"  # shown as the default of options that override a preset
 
@@ -103,6 +110,48 @@ def group(*options):
     return decorate
 
 
+def under(heading, *options):
+    """Return several options as one decorator; `Grouped` shows them below a heading."""
+
+    def decorate(command):
+        before = len(getattr(command, "__click_params__", ()))
+        command = group(*options)(command)
+        for added in command.__click_params__[before:]:
+            added.heading = HEADING_OF.get(added.name, heading)
+        return command
+
+    return decorate
+
+
+class Grouped(click.Command):
+    """A command whose --help has its usual options below headings, --help-all every option."""
+
+    def format_options(self, ctx, formatter):
+        """Write the options by heading, each with its help."""
+        own = [one for one in self.params if isinstance(one, click.Option)]
+        for heading in HEADINGS:
+            rows = [
+                one.get_help_record(ctx) if ctx.meta.get("all") else _in_short(one, ctx)
+                for one in own if getattr(one, "heading", HEADINGS[-1]) == heading
+                and (ctx.meta.get("all") or one.name in USUAL)
+            ]  # fmt: skip
+            if rows:
+                with formatter.section(heading.capitalize()):
+                    formatter.write_dl(rows)
+
+
+def _in_short(option, ctx):
+    """Return an option's names and the first sentence of its help."""
+    return option.get_help_record(ctx)[0], re.split(r"\.( |$)", option.help)[0]
+
+
+def _show_all(ctx, param, value):
+    if value:
+        ctx.meta["all"] = True
+        click.echo(ctx.get_help())
+        ctx.exit()
+
+
 def option(names, kind, text, metavar=None, shows=None, **more):
     """Return an option that is no setting, declared in one call as a setting is.
 
@@ -123,7 +172,7 @@ def option(names, kind, text, metavar=None, shows=None, **more):
 scene_option = option(
     "scene -s", str,
     "A name from `rainsim scenes`, a trained model's folder, a splat file or a scene folder.",
-    "NAME|PATH", default="bicycle")
+    "NAME|PATH")
 
 ground_options = group(
     option("cameras", FILE, "cameras.json or transforms.json instead of the one beside the splats. "
@@ -308,8 +357,21 @@ backend_option = option(
     "backend", click.Choice(["cpu", "cuda"]), "What computes: cuda needs an NVIDIA GPU and "
     "rainsim[cuda]; see `rainsim doctor`.", default="cpu")
 quiet_option = option("quiet -q", bool, "Print errors only.")
+verbose_option = option("verbose -v", bool, "Say everything that was found and chosen.")
+help_all_option = option("help-all", bool, "Show every option.", is_eager=True, expose_value=False,
+                         callback=_show_all)
 json_option = option("json as_json", bool, "Print results as JSON.")
 threads_option = option("threads", int, "Number of threads.", "N", shows="all cores")
+run_options = group(
+    under("scene", preset_option, scene_option, ground_options, terrain_options,
+          ground_map_option, mask_options),
+    under("rain", rain_options),
+    under("look", light_options),
+    under("camera", camera_options, optics_options, shutter_option),
+    under("output", picture_options, resume_option, output_options("rainsim-out/SCENE-PRESET"),
+          verbose_option, help_all_option),
+    big_options, backend_option, shared_range_option, farm_options,
+)
 # fmt: on
 
 

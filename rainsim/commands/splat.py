@@ -17,6 +17,7 @@ from rainsim.commands.given import (
     placed_camera,
     require_backend,
     require_own_cameras,
+    scene_to_look_at,
     settings,
 )
 from rainsim.commands.options import FILE, Numbers, group, option
@@ -60,7 +61,7 @@ _splat_options = group(
 @options.backend_option
 @options.json_option
 def splat(scene, out, overwrite, as_json, **given):
-    """Draw the dry capture SCENE from a camera, without looking for its ground.
+    """Draw the dry capture SCENE from a camera; the views of one without are those of `run`.
 
     Arrays: rgb (height, width, 3) display-referred over the background; alpha; depth in capture
     units, infinite where nothing is; normal in the capture frame, zero where nothing is. As in the
@@ -93,6 +94,8 @@ def splat(scene, out, overwrite, as_json, **given):
     set_threads(config.threads)
     nowhere = GroundFrame(np.eye(3), 1.0, np.zeros(3))  # drawing needs no ground
     capture = load_scene(scene, cameras=given["cameras"], ground_frame=nowhere)
+    if not capture.cameras and given["eye"] is None:  # those that are offered stand on the ground
+        capture, _ = scene_to_look_at(scene, {})
     camera = _camera(capture, given)
     require_backend(given["backend"])
     notes = [*refused_folders(), *capture.notes, *_memory(capture, camera, out, given["backend"])]

@@ -16,8 +16,9 @@ LOUD = ("ASSUMED", "WARNING", "NOT TO BE BELIEVED")  # words of notes that are p
 READING = "scene"  # the stage before all others
 SHOWN = {READING: "reading", "simulate": "water"}  # stages whose time has another name
 BESIDE = "compiling beside"  # what goes on beside the stages
-QUARTERS = 4  # without a terminal a stage reports this often at least
-BEAT = 10.0  # s after which it reports again, and a stage that cannot count says that it goes on
+SHORT = ("scale", "up, plane and scale", "ground:", "relight:", "sky:", "camera ", "drive:")
+QUARTERS = 4  # without a terminal compiling reports this often at least
+BEAT = 10.0  # s after which a stage reports again without a terminal
 TICK = 1.0  # s between looks at the clock
 LEAST_LEFT = 5.0  # s; less is not worth saying
 
@@ -60,17 +61,17 @@ def _raise_forgotten():
 
 
 class Status:
-    """Says on stderr what is being done; silent when `quiet`.
+    """Says on stderr what is being done; silent when `quiet`, and all of it when `verbose`.
 
     `progress(stage, done, total)` is the callable that the pipeline's functions take. As a context
     manager it ends the bar on the way out, also on an error. In a terminal a stage has a bar;
-    elsewhere it has lines with counts and the time that is left, none of them long after another.
+    elsewhere it has lines with counts and the time that is left, if it takes longer than BEAT.
 
     `spent` is the time of each stage that is over [s].
     """
 
-    def __init__(self, quiet=False):
-        self.quiet = quiet
+    def __init__(self, quiet=False, verbose=True):
+        self.quiet, self.verbose = quiet, verbose
         self._stage, self._bar = None, None
         self._compiling, self._lock = None, threading.RLock()
         self._said = set()
@@ -118,12 +119,19 @@ class Status:
             click.echo(indent + click.style(one_line(text), bold=bold or None), err=True)
 
     def notes(self, notes):
-        """Print notes that were not printed before, as indented lines."""
+        """Print notes that were not printed before, as indented lines.
+
+        Unless `verbose` those that begin as SHORT says, up to their first semicolon, and all LOUD.
+        """
         for note in notes:
             if note not in self._said:
                 self._said.add(note)
                 # An assumption that everything rests on must not drown among the other lines.
-                self.say(note, "  ", bold=any(word in note for word in LOUD))
+                loud = any(word in note for word in LOUD)
+                if loud or self.verbose:
+                    self.say(note, "  ", bold=loud)
+                elif note.startswith(SHORT):
+                    self.say(note.split("; ")[0], "  ")
 
     def progress(self, stage, done, total):
         """Show that `done` of `total` parts of a stage are done."""
@@ -151,12 +159,11 @@ class Status:
                 self._bar.refresh()
             if done == total:
                 self.close()
-        elif total > 1 and self._stage.is_due():
+        elif total > 1 and self._stage.is_late():
             self._stage.tell()
 
     def _open(self, stage, done, total):
         if not sys.stderr.isatty():
-            click.echo(f"{stage} ...", err=True)
             return
         from tqdm import tqdm  # not needed for --help
 
@@ -234,7 +241,6 @@ class StageProgress:
         self._begun = self._heard = time.perf_counter()
         self._base = None  # parts that were done before: no time of this stage went into them
         self._first = None  # parts done and time when the first were: they are slow
-        self._told = 0
 
     def update(self, done, total):
         """Take over how many parts are done."""
@@ -244,17 +250,12 @@ class StageProgress:
         elif done > self._base and self._first is None:
             self._first = done, time.perf_counter()
 
-    def is_due(self):
-        """Whether another quarter is done, or a line is late."""
-        return self.done * QUARTERS // max(self.total, 1) > self._told or self.is_late()
-
     def is_late(self):
         """Whether the stage goes on and nothing has been said of it for a while."""
         return self.done < self.total and time.perf_counter() - self._heard >= BEAT
 
     def tell(self):
         """Print a line."""
-        self._told = self.done * QUARTERS // max(self.total, 1)
         self._heard = now = time.perf_counter()
         text = f"{self.name} {self.done}/{self.total}" if self.total > 1 else self.name
         left = self.seconds_left(now)
@@ -325,9 +326,7 @@ class _CompileProgress:
         """Name the stage that goes on meanwhile."""
         if self.stage is None or self.stage.name != stage:
             self.stage = StageProgress(stage)
-            if self.bar is None:
-                click.echo(f"{stage} ...", err=True)
-            else:
+            if self.bar is not None:
                 self.bar.set_postfix_str(stage)
         self.stage.update(done, total)
 

@@ -41,6 +41,7 @@ WAIT = 0.5  # s between looks at whether Ctrl-C was pressed
                 "rainsim-out/SCENE-view")  # fmt: skip
 @options.threads_option
 @options.option("quiet -q", bool, "Print the address and errors only.")
+@options.verbose_option
 def view(scene, port, **given):
     """Look at SCENE in the rain in a browser, on this machine only; needs rainsim[view].
 

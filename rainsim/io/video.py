@@ -20,7 +20,6 @@ from rainsim.io.files import put_in_place
 
 WORST_CRF = 51.0
 WORST_STEP = 64  # of ProRes's quantiser; FFmpeg takes no more
-GROUP = 250  # frames from one that is whole to the next at most, as FFmpeg's encoders have it
 # Players take a video without these marks for BT.601 or BT.709, by its size; so we say which.
 COLORS = (
     "-vf", "scale=out_color_matrix=bt709:flags=bicubic+accurate_rnd+full_chroma_int",
@@ -188,24 +187,3 @@ class VideoWriter:
                 put_in_place(self._temporary, self.path)
         finally:
             self._temporary.unlink(missing_ok=True)
-
-
-def bytes_of_video(pictures, count, fps, video):
-    """Return about how many bytes a video of `count` frames takes, int.
-
-    `pictures`, two or more frames that follow one another, are written for a try: the first is
-    coded by itself, the others by what has changed; ProRes codes all by themselves. Encoders do
-    better once they look further ahead, so that H.264 and H.265 take less than this: 48 frames .77
-    to .87 of it from a quality of 82 on (H.264), .45 to .67 at 56 to 66.
-    """
-    sizes = []
-    with tempfile.TemporaryDirectory(prefix="rainsim-") as folder:
-        for part in (pictures[:1], pictures):
-            path = Path(folder) / video.name
-            with VideoWriter(path, fps, video) as writer:
-                for picture in part:
-                    writer.add(picture)
-            sizes.append(path.stat().st_size)
-    changed = max(sizes[1] - sizes[0], 0) / (len(pictures) - 1)
-    whole = -(-count // GROUP)
-    return round(whole * sizes[0] + (count - whole) * changed)

@@ -5,7 +5,7 @@ removed or replaced, and only when new results are ready to take their place.
 """
 
 _PUBLIC = {
-    "claims": ("claimed", "relative"),
+    "claims": ("claimed", "relative", "require_empty"),
     "facts": (
         "cameras_facts", "host_facts", "input_facts", "scene_content", "settings_content",
         "settings_facts", "states_content", "versions",

@@ -36,11 +36,11 @@ def claimed(path, overwrite=False, resume=False, sources=(), shared=False):
     """
     path = Path(path)
     require_no_file(path)
-    _require_empty(path, overwrite or resume or shared)
+    require_empty(path, overwrite or resume or shared)
     made = [p for p in (path, *path.parents) if not p.exists()]
     try:
         with claim(path / CLAIM, shared):
-            _require_empty(path, overwrite or resume or shared)  # another run may have been first
+            require_empty(path, overwrite or resume or shared)  # another run may have been first
             if overwrite and not resume:
                 _require_replaceable(path, sources)
             tempfile.TemporaryFile(dir=path).close()  # before hours of work, not after
@@ -64,7 +64,8 @@ def require_no_file(path):
         raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
 
 
-def _require_empty(path, overwrite):
+def require_empty(path, overwrite):
+    """Raise ParameterError if an output folder holds files, unless it may (`overwrite`)."""
     if path.is_dir() and not overwrite and any(entry.name != CLAIM for entry in path.iterdir()):
         raise ParameterError(
             f"output folder {path} exists and is not empty; it must be new or empty; "

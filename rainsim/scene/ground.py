@@ -40,10 +40,7 @@ MOST_NOTE = 4000  # characters of a note; those of a ground that is found have u
 STRAY = 10.0  # times the usual height of the cameras: one that is higher is misplaced
 LARGEST_FALL = 0.3  # a steep drive has 0.2
 LIKELY_CAMERA_HEIGHTS = (1.2, 2.4)  # m: pictures taken low, and with raised arms
-SCALE_REMEDY = (
-    "a length that you know settles it (--known-length CAMERA:u1,v1,u2,v2,m takes two pixels of a "
-    "picture), or --meters-per-unit or --camera-height"
-)
+SCALE_REMEDY = "--known-length, --camera-height or --meters-per-unit corrects it"
 
 
 def estimate_ground_frame(
@@ -164,9 +161,8 @@ def _scale(heights, meters_per_unit, camera_height, notes):
     scale = ASSUMED_CAMERA_HEIGHT / mean
     low, high = (height / mean for height in LIKELY_CAMERA_HEIGHTS)
     notes.append(
-        f"SCALE IS ASSUMED: {stand}, and that mean is taken as {ASSUMED_CAMERA_HEIGHT} m: "
-        f"{scale:.4g} m per unit, likely {low:.2g} to {high:.2g}; a part of these {len(heights)} "
-        f"cameras would give another; {SCALE_REMEDY}"
+        f"SCALE IS ASSUMED: {scale:.4g} m per unit, likely {low:.2g} to {high:.2g}, as if the "
+        f"{len(heights)} cameras stood {ASSUMED_CAMERA_HEIGHT} m above the ground; {SCALE_REMEDY}"
     )
     return scale, True
 

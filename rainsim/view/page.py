@@ -107,7 +107,7 @@ class Page:
         gui = handle.gui
         state = gui.add_markdown("connected", order=-3)
         mode = gui.add_dropdown("show", MODES, initial_value=RAIN, order=-2)
-        rain = gui.add_slider("N [mm]", 1, 50, 1, 8, order=-1, visible=False)
+        rain = gui.add_slider("after rain of [mm]", 1, 50, 1, 8, order=-1, visible=False)
         client = Client(handle, rain, state)
         key = handle.client_id
         with self._lock:
@@ -160,6 +160,9 @@ class Page:
                 f"{word}: {job.width} x {job.height} px in {shown.seconds * 1e3:.0f} ms, "
                 f"t = {self.painter.clock.time:.2f} s"
             )
+            sunk = self.painter.session.below_ground(job.view)
+            if sunk > 0:
+                client.state.content += f"  \n**the camera is {sunk:.2f} m below the ground**"
 
     def show_badly_seen(self, key, share):
         """Tell a page how much of its finished picture is badly seen; of the drawing thread."""

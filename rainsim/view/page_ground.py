@@ -11,14 +11,13 @@ from rainsim.scene.folder import override_ground_frame
 from rainsim.terrain.poured import DRAINS, STAYS, painted_water
 from rainsim.terrain.table import class_table
 from rainsim.view import probe
-from rainsim.view.page_up import UpDisc
 
-READ, MEASURE, UP, DISC, PAINT, POUR = "read", "measure", "up", "disc", "paint", "pour"
+READ, MEASURE, UP, PAINT, POUR = "read", "measure", "up", "paint", "pour"
 TOOLS = {
     READ: "read a point", MEASURE: "measure: two points", UP: "up: three points",
-    DISC: "up: turn a disc", PAINT: "paint a class", POUR: "put water",
+    PAINT: "paint a class", POUR: "put water",
 }  # fmt: skip
-POINTS = {READ: 1, MEASURE: 2, UP: 3, DISC: 1, PAINT: 1, POUR: 1}
+POINTS = {READ: 1, MEASURE: 2, UP: 3, PAINT: 1, POUR: 1}
 BRUSHES = PAINT, POUR
 LEFT = "leave to the program"
 SOME_SIZE = 300, 200  # px, of cameras whose place alone matters
@@ -34,20 +33,19 @@ class GroundTools:
         self._eye = None  # from where the last point was seen
         self._count = 0  # of all marks: a name is used once
         self._lock = threading.Lock()  # each callback has a thread of its own
-        self.disc = UpDisc(page.server.scene, self._say_lean)
         gui = page.server.gui
         with gui.add_folder("Ground", order=4, expand_by_default=False) as self._folder:
             self.tool = gui.add_dropdown("a click", tuple(TOOLS.values()))
             self.answer = gui.add_markdown("click on the picture")
             self.length = gui.add_number("known length [m]", 1.0, min=1e-3, max=1e4, step=0.01)
-            self.scale = gui.add_button("set the scale by it", disabled=True)
-            self.up = gui.add_button("set up by it", disabled=True)
+            self.scale = gui.add_button("set the scale by this length", disabled=True)
+            self.up = gui.add_button("set up by these points", disabled=True)
             names = (*class_table().names, LEFT)
             self.kind = gui.add_dropdown("class", names)
             self.radius = gui.add_slider("brush [m]", 0.05, 3.0, 0.05, 0.3)
             self.depth = gui.add_slider("water put [mm]", 0, 200, 1, 10)
-            self.use = gui.add_dropdown("it", (STAYS, DRAINS))
-            self.flood = gui.add_button("water up to the point", disabled=True)
+            self.use = gui.add_dropdown("the water", (STAYS, DRAINS))
+            self.flood = gui.add_button("flood up to the point", disabled=True)
             for label, what in (
                 ("save ground and classes", "save_ground"),
                 ("save as a scene of its own", "save_scene"),
@@ -74,14 +72,7 @@ class GroundTools:
     def _choose_tool(self, event):
         with self._lock:
             self._forget()
-        if self.chosen == DISC:
-            self.answer.content = "click on level ground; a disc lies there"
         self._say_brush(event)
-
-    def _say_lean(self):
-        """Say how far the disc leans."""
-        self.answer.content = f"the disc leans {self.disc.lean:.1f} degrees"
-        self.up.disabled = False
 
     def _say_brush(self, event):
         """Say what the next click paints or puts, and how wide."""
@@ -124,12 +115,6 @@ class GroundTools:
             self._forget()
         self.points.append(reading.point)
         self._eye = view.position
-        if tool == DISC:
-            away = np.linalg.norm(np.subtract(reading.point, view.position))
-            self.disc.put(reading.point, float(away))
-            self.page.use_depth()
-            self.answer.content = "drag the rings until the disc lies on the ground"
-            return
         self._mark(reading.point)
         self.answer.content = "\n\n".join(self._words(reading))
         if history is not None and tool == READ:
@@ -159,7 +144,6 @@ class GroundTools:
 
     def _forget(self):
         """Forget the clicked points, with the lock held."""
-        self.disc.remove()
         for mark in self._marks:
             mark.remove()
         self.points, self._marks = [], []
@@ -193,11 +177,9 @@ class GroundTools:
 
     def _set_up(self, event):
         points, eye = list(self.points), self._eye
-        pole = self.disc.up if self.disc.point is not None else None
 
         def turn(session):
-            up = probe.up_of(session.scene, points, eye) if pole is None else None
-            up = session.scene.ground_frame.rotation.T @ pole if up is None else up
+            up = probe.up_of(session.scene, points, eye)
             scene, is_found = probe.with_up(session.scene, up, points[0])
             session.set_scene(scene)
             shown = ", ".join(f"{v:.5f}" for v in scene.ground_frame.up)

@@ -86,7 +86,7 @@ class KeyframeTools:
             made.on_click(page.guarded(function))
             return made
 
-        self.seconds = gui.add_number("seconds to it", 2.0, min=0.05, max=600.0, step=0.05)
+        self.seconds = gui.add_number("seconds from the last", 2.0, min=0.05, max=600.0, step=0.05)
         button("add a keyframe", self._add)
         self.list = gui.add_markdown("no keyframe")
         self.time = gui.add_dropdown("time of the rain", (GOES_ON, AS_SEEN))
@@ -104,9 +104,9 @@ class KeyframeTools:
                 field = gui.add_number(f"its {label}", usual, min=low, max=high, step=step)
                 field.on_update(self._of_a_page(lambda event, key=key: self._change(key)))
                 self.values[key] = field
-            button("look from it", self._look_from)
-            button("take this view for it", self._take_view)
-            button("delete it", self._delete)
+            button("look from this keyframe", self._look_from)
+            button("move it to this view", self._take_view)
+            button("delete this keyframe", self._delete)
 
     def _of_a_page(self, function):
         """Return a callback for what a user turns, not for what the program sets."""

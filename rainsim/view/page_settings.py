@@ -13,6 +13,10 @@ from rainsim.errors import ParameterError
 SUN_CHOICES = ("none", "sky", "angles")
 SPEEDS = ("1", "1/2", "1/4", "1/8")
 CHOICES = {name: one.choices for name, one in SETTINGS.items() if one.dropdown}
+USUAL = (  # keys of sliders that are not folded
+    "rain_mm_per_hour", "past_rain_mm", "drying_hours", "wind_speed_m_per_s",
+    "wind_direction_degrees", "cloudiness", "brightness", "wetness", "ripples",
+)  # fmt: skip
 NO_LEVEL = 0.1  # m, where the slider of the flood begins
 SUN = {"sun_azimuth_degrees": 0.0, "sun_elevation_degrees": 45.0}  # where its sliders begin
 KEPT = ("frames", "fps", "width", "height", "surroundings", "spacing", "extent", "threads")
@@ -29,9 +33,11 @@ class SettingsTools:
                 "preset", ("as started", *preset_names()), initial_value="as started"
             )
             self._on(self.preset, self._take_preset)
-            groups = dict.fromkeys(slider.group for slider in SLIDERS)
-            for group in groups:
-                with gui.add_folder(group, expand_by_default=group in ("Rain", "Light")):
+            config, usual = self.painter.config, {s.key: s for s in SLIDERS if s.key in USUAL}
+            for key in USUAL:
+                self._add_slider(gui, usual[key], config)
+            for group in dict.fromkeys(slider.group for slider in SLIDERS):
+                with gui.add_folder(f"More: {group.lower()}", expand_by_default=False):
                     self._add_group(gui, group)
         with gui.add_folder("Time", order=2):
             self._add_time(gui)
@@ -56,7 +62,7 @@ class SettingsTools:
         if group == "Flood":
             self.flood = gui.add_checkbox("flood", config.water.level is not None)
             self._on(self.flood, self._turn_level)
-        for slider in (s for s in SLIDERS if s.group == group):
+        for slider in (s for s in SLIDERS if s.group == group and s.key not in USUAL):
             self._add_slider(gui, slider, config)
         if group == "Rain":
             self.seed = gui.add_number("seed", config.rain.seed, min=0, max=MAX_SEED, step=1)
@@ -141,7 +147,7 @@ class SettingsTools:
     def _add_time(self, gui):
         clock = self.painter.clock
         self.play = gui.add_button("play")
-        self.step = gui.add_button("one frame on")
+        self.step = gui.add_button("next frame")
         self.index = gui.add_slider("frame", 0, max(clock.frames - 1, 1), 1, 0)
         self.loops = gui.add_checkbox("loop", True)
         self.speed = gui.add_dropdown("speed", SPEEDS, initial_value=SPEEDS[0])

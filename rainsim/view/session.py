@@ -306,6 +306,14 @@ class Session:
         picture = np.rint(np.clip(layers.color, 0, 1) * 255).astype(np.uint8)
         return picture, layers.depth * np.float32(self.scene.ground_frame.meters_per_unit)
 
+    def below_ground(self, view):
+        """Return how far a view's eye lies below the ground [m], 0 above it and where none is."""
+        if self.terrain is None:
+            return 0.0
+        x, y, z = view.position
+        row, column, inside = self.terrain.grid.cells(np.array([x]), np.array([y]))
+        return max(float(self.terrain.bed[row[0], column[0]] - z), 0.0) if inside[0] else 0.0
+
     def badly_seen(self, view, width, height):
         """Return the share of a view that the capture's cameras hardly saw; None if unknown.
 

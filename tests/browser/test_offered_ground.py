@@ -69,7 +69,7 @@ def test_the_walk_from_an_unknown_capture_to_a_film(bare, open_page, tmp_path):
         page.page.mouse.click(550, 600)
         page.wait_until(lambda: page.says("between the points"))
         page.type_into("known length [m]", 0.8)
-        page.press("set the scale by it")
+        page.press("set the scale by this length")
         page.wait_until(lambda: page.says("m per capture unit"))
         page.settle(WIDTH)
 
@@ -77,7 +77,7 @@ def test_the_walk_from_an_unknown_capture_to_a_film(bare, open_page, tmp_path):
         for n, place in enumerate([(150, 600), (550, 600), (330, 450)]):
             page.page.mouse.click(*place)
             page.wait_until(lambda n=n: page.says("ground at" if n == 2 else f"{2 - n} more to"))
-        page.press("set up by it")
+        page.press("set up by these points")
         page.wait_until(lambda: page.says("nearest to it is level"))
         page.settle(WIDTH)
 
@@ -102,13 +102,13 @@ def test_the_walk_from_an_unknown_capture_to_a_film(bare, open_page, tmp_path):
         page.drag()
         page.wait_until(lambda: page.differs(before))
         page.settle(WIDTH)
-        page.type_into("seconds to it", 0.1)
+        page.type_into("seconds from the last", 0.1)
         page.press("add a keyframe")
         page.wait_until(lambda: page.says("keyframes: 2"))
         page.press("save the path")
         folder = tmp_path / "home/path-001"
         page.wait_until(lambda: (folder / "command.txt").is_file())
-        page.press("draw the saved one here")
+        page.press("draw what was saved")
         page.wait_until(lambda: page.says("3 of 3 frames, drawn in"), 300)
     frames = sorted((folder / "drawn/frames").iterdir())
     assert len(frames) == 3
@@ -119,43 +119,6 @@ def test_the_walk_from_an_unknown_capture_to_a_film(bare, open_page, tmp_path):
     assert frame["scale_assumed"] is False
     assert (tmp_path / "home/scene-001/scene.json").is_file()
     assert (tmp_path / "home/ground-001/class-mask.png").is_file()
-
-
-def test_up_is_set_by_a_disc_that_is_dragged(server, open_page):
-    page = open_page(server[1])
-    page.settle(WIDTH)
-    page.open_folder("Ground")
-    page.choose("a click", "up: turn a disc")
-    page.wait_until(lambda: page.says("a disc lies there"))
-    page.page.mouse.click(350, 380)
-    page.wait_until(lambda: page.says("drag the rings"))
-    page.settle(WIDTH)
-    page.wait_until(lambda: len(page.colored(green)) > 20)  # the ring about the second axis
-    ring = page.colored(green)
-    y, x = map(int, ring[len(ring) // 2])
-    mouse = page.page.mouse
-    mouse.move(x, y)
-    mouse.down()
-    for n in range(1, 9):
-        mouse.move(x + 8 * n, y + 8 * n)
-        page.page.wait_for_timeout(30)
-    mouse.up()
-    page.wait_until(lambda: page.says("the disc leans"))
-    page.press("set up by it")
-    page.wait_until(lambda: page.says("of the capture;"))
-    page.settle(WIDTH)
-    page.press("save ground and classes")
-    file = server[2] / "home/ground-001/ground_frame.json"
-    page.wait_until(file.is_file)
-    found = json.loads(file.read_text())
-    lean = np.degrees(np.arccos(min(found["rotation"][2] @ tiny_scene().ground_frame.up, 1.0)))
-    # Either the ground about the pole was found, or what the pole says is taken as it is.
-    assert lean < 1 if page.says("nearest to it is level") else lean > 20
-
-
-def green(picture):
-    r, g, b = (picture[..., n].astype(int) for n in range(3))
-    return (g > r + 50) & (g > b + 15)
 
 
 def test_a_mark_goes_when_another_tool_is_chosen(server, open_page):

@@ -60,8 +60,8 @@ def test_a_drag_changes_the_picture_and_the_full_one_follows(server, open_page):
 def test_each_slider_acts(server, open_page):
     page = open_page(server[1])
     page.settle(WIDTH)
-    for name in ("Camera", "Flood"):
-        page.open_folder(name)
+    for name in ("rain", "light", "camera", "flood"):
+        page.open_folder(f"More: {name}")
     page.choose("sun", "angles")
     page.settle(WIDTH)
     assert {slider.key for slider in SLIDERS} == set(VALUES)
@@ -150,7 +150,7 @@ def test_a_saved_picture_is_that_of_the_page_and_of_its_command(server, open_pag
     subprocess.run([sys.executable, "-m", *command], check=True, cwd=server[2])
     (frame,) = (folder / "drawn/frames").iterdir()
     np.testing.assert_array_equal(read_image(frame), picture)
-    page.press("print its command")
+    page.press("show its command")
     line = (folder / "command.txt").read_text().strip()
     page.wait_until(lambda: page.says(line.replace("shot-001", "view-001")))
     assert not (server[2] / "home/view-001/picture.png").exists()
@@ -162,13 +162,13 @@ def test_a_path_is_saved_and_drawn_here(server, open_page):
     page.open_folder("Take home")
     page.press("add a keyframe")
     act(page, page.drag)
-    page.type_into("seconds to it", 0.1)
+    page.type_into("seconds from the last", 0.1)
     page.press("add a keyframe")
     page.press("save the path")
     folder = server[2] / "home/path-001"
     page.wait_until(lambda: (folder / "command.txt").is_file())
     page.open_folder("Edit a keyframe")
-    page.press("delete it")
+    page.press("delete this keyframe")
     page.wait_until(lambda: page.says("keyframes: 1"))
     with page.page.expect_file_chooser() as chooser:
         page.press("load a path or preset")
@@ -180,7 +180,7 @@ def test_a_path_is_saved_and_drawn_here(server, open_page):
     first, second = (read_cameras(f / "camera_path.json") for f in (folder, again))
     for one, other in zip(first, second, strict=True):
         np.testing.assert_allclose(one.camera_from_world, other.camera_from_world, atol=1e-9)
-    page.press("draw the saved one here")
+    page.press("draw what was saved")
     page.wait_until(lambda: page.says("3 of 3 frames, drawn in"), 300)
     assert len(list((again / "drawn/frames").iterdir())) == 3
     pytest.importorskip("imageio_ffmpeg")
@@ -215,17 +215,17 @@ def test_the_list_of_keyframes_is_edited_and_played(server, open_page, root):
     page.wait_until(lambda: page.says("5\t4\t77\t8\t3 to 90\t1.5"))
     page.type_into("at [s]", 8)  # where another is
     page.wait_until(lambda: page.says("two keyframes are at 8 s"))
-    page.press("delete it")
+    page.press("delete this keyframe")
     page.wait_until(lambda: page.says("keyframes: 6, 8 s"))
     page.choose("keyframe", "1")
     before = page.pixels()
-    page.press("look from it")
+    page.press("look from this keyframe")
     page.wait_until(lambda: page.differs(before))
     page.press("play along the path")
     page.wait_until(lambda: page.says("t = 1."))  # behind the page's own frames
     page.press("stop")
     page.wait_until(lambda: page.says("play along the path"))
-    page.tick("with a video")
+    page.tick("path with a video")
     page.press("save the path")
     page.wait_until(lambda: page.says("--video"))
     assert "--video" in (server[2] / "home/path-001/command.txt").read_text()

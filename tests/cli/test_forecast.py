@@ -10,7 +10,6 @@ import pytest
 from rainsim.commands import forecast
 from rainsim.commands.forecast import Forecast, clock_time
 from rainsim.commands.status import Status
-from rainsim.config.settings import Config
 
 SMALL = ["--spacing", "0.04", "--extent", "1", "--width", "64", "--preset", "downpour",
          "--relight", "off"]  # fmt: skip
@@ -35,7 +34,7 @@ def on_disk(folder, name):
 def test_a_long_run_says_once_what_it_takes(rainsim, scene_folder, tmp_path, more):
     if more[:1] == ["--workers"]:
         pytest.importorskip("distributed")
-    done = rainsim("run", "--scene", scene_folder, *SMALL, "--frames", 12, "--layers", "depth",
+    done = rainsim("run", scene_folder, *SMALL, "--frames", 12, "--layers", "depth", "-v",
                    "--out", "out", *more)  # fmt: skip
     assert done.code == 0, done.err
     found = LINE.findall(done.err)
@@ -50,16 +49,13 @@ def test_a_long_run_says_once_what_it_takes(rainsim, scene_folder, tmp_path, mor
 def test_render_says_it_and_a_disk_that_is_too_full_is_a_warning(
     rainsim, scene_folder, tmp_path, monkeypatch
 ):
-    pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setattr(forecast.shutil, "disk_usage", lambda folder: Disk(10**9, 10**9, 20_000))
     assert rainsim("heightmap", scene_folder, *SMALL[:4], "--out", "map").code == 0
     assert rainsim("simulate", "map", "--frames", 12, "--out", "states").code == 0
-    done = rainsim(
-        "render", "states", "--relight", "off", "--width", "64", "--video", "--out", "out"
-    )
+    done = rainsim("render", "states", "--relight", "off", "--width", "64", "--out", "out")
     assert done.code == 0, done.err
     found = LINE.findall(done.err)
-    assert len(found) == 1 and set(in_kilobytes(found[0][3])) == {"frames", "video"}, done.err
+    assert len(found) == 1 and set(in_kilobytes(found[0][3])) == {"frames"}, done.err
     assert re.search(r"WARNING: 20 kB are free in out and [\d.]+ kB are still to be", done.err)
     assert json.loads((tmp_path / "out/provenance.json").read_text())["complete"]
 
@@ -78,8 +74,7 @@ def test_the_time_is_that_of_the_frames_after_the_first(tmp_path, monkeypatch):
     status = Status()
     status.progress = lambda *stage: None
     status.say = lambda text, bold: said.append(text)
-    config = Config().replace(frames=500)
-    watched = Forecast(status, tmp_path, None, (), config, None)
+    watched = Forecast(status, tmp_path)
     watched.progress("frames", 100, 500)  # an earlier run drew a hundred
     now[0] += 300.0  # the first one compiles
     for done in range(101, 111):
@@ -92,7 +87,7 @@ def test_the_time_is_that_of_the_frames_after_the_first(tmp_path, monkeypatch):
 def test_a_disk_that_fails_meanwhile_ends_no_run(tmp_path):
     status = Status()
     status.progress = lambda *stage: None
-    watched = Forecast(status, tmp_path / "gone", None, (), Config(), None)
+    watched = Forecast(status, tmp_path / "gone")
     for done in range(21):
         watched.progress("frames", done, 20)
     assert watched._frames is None

@@ -260,10 +260,37 @@ def test_help_has_an_example(rainsim, command):
 
 
 def test_options_say_their_unit_and_default(rainsim):
-    text = " ".join(rainsim("run", "--help").out.split())
+    text = " ".join(rainsim("run", "--help-all").out.split())
     for words in ("mm/h", "in mm.", "m/s", "degrees", "in ms", "px", "default: (the preset's)"):
         assert words in text
-    assert "[default: bicycle]" in text and "[default: downpour]" in text
+    assert "[default: downpour]" in text
+
+
+def test_the_usual_options_stand_in_groups(rainsim):
+    short, full = (rainsim("run", name).out for name in ("--help", "--help-all"))
+    assert len(re.findall("^  -", short, re.M)) <= 25 < len(re.findall("^  -", full, re.M))
+    for heading in ("Scene:", "Rain:", "Look:", "Camera:", "Output:"):
+        assert f"\n{heading}\n" in short and f"\n{heading}\n" in full
+    assert "--water-scheme" in full and "--water-scheme" not in short
+
+
+def test_what_can_be_known_is_refused_before_the_scene_is_read(rainsim, scene_folder, tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/mine.txt").write_text("mine")
+    full = rainsim("run", scene_folder, "--out", "full")
+    twice = rainsim("run", scene_folder, "--scene", "street")
+    assert full.code == 2 and "--overwrite" in full.error and "scene" not in full.err
+    assert twice.code == 2 and "both given" in twice.error
+
+
+def test_a_cameras_name_is_checked_before_splats_are_read(rainsim, tmp_path, monkeypatch):
+    from made_captures import write_model_folder
+    from scenes import tiny_scene
+
+    write_model_folder(tmp_path / "model", tiny_scene(), ["front", "left", "right"])
+    monkeypatch.setattr("rainsim.scene.folder.read_splats", None)
+    done = rainsim("run", "model", "--camera", "back")
+    assert done.code == 2 and "no camera 'back'" in done.error
 
 
 def test_presets_lists_all_keys(rainsim):

@@ -25,8 +25,9 @@ LONGEST_EXAMPLE = 60
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_files_are_short_and_lines_fit(path):
     lines = path.read_text(encoding="utf-8").splitlines()
-    assert len(lines) <= (LONGEST_EXAMPLE if path in EXAMPLES else LONGEST_FILE)
-    assert max(map(len, lines), default=0) <= 100
+    longest = LONGEST_EXAMPLE if path in EXAMPLES else LONGEST_FILE
+    assert len(lines) <= longest, f"{len(lines)} lines; split the file by subject, or delete"
+    assert max(map(len, lines), default=0) <= 100, "break the lines that are longer than 100"
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
@@ -86,7 +87,9 @@ def _is_path(call):
 @pytest.mark.parametrize("path", [*SOURCES, *TEXTS], ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_texts_name_no_machine(path):
     text = path.read_text(encoding="utf-8")
-    assert not re.search(r"(?<![\w.])/(work|tmp|home|root|opt)/|TODO|FIXME|XXX", text)
+    assert not re.search(r"(?<![\w.])/(work|tmp|home|root|opt)/|TODO|FIXME|XXX", text), (
+        "a folder of one machine, or a mark of work to do: take it out"
+    )
 
 
 COMMANDS = {f"rainsim {name}": command for name, command in cli.commands.items()}
@@ -96,7 +99,9 @@ COMMANDS |= {f"python -m benchmarks {n}": command for n, command in benchmarks.c
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_is_documented(name):
     command = COMMANDS[name]
-    assert f"`{name}" in README
+    assert any(re.search(rf"(`|^){name}\b", text.read_text("utf-8"), re.M) for text in TEXTS), (
+        f"no page names `{name}`: add it to README.md or a page of docs/"
+    )
     assert command.help and "Example:" in command.help
     for option in command.params:
         assert option.param_type_name == "argument" or option.help, option.name

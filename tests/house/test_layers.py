@@ -123,7 +123,7 @@ def test_imports_follow_the_order(path):
     rank = RANK.get(here.partition(".")[0], len(ORDER))
     for other in _of_ours(path):
         allowed = RANK[other.partition(".")[0]] <= rank or (here, other) in EXCEPTIONS
-        assert allowed, f"{here} imports {other}"
+        assert allowed, f"{here} imports {other} from above: move what both need down, see ORDER"
 
 
 def test_no_circle_between_files_is_left():

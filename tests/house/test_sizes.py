@@ -23,7 +23,7 @@ def has_reason(path, function):
 
 def test_functions_take_few_arguments():
     faults = [
-        f"{name_of(path)} {name} takes {count} arguments"
+        f"{name_of(path)} {name} takes {count} arguments: join some in a bundle"
         for path in MODULES for name, function in functions_in(path)
         if (count := len(arguments_of(function))) > MOST_ARGUMENTS
     ]  # fmt: skip
@@ -32,7 +32,7 @@ def test_functions_take_few_arguments():
 
 def test_functions_are_short_or_say_why_not():
     faults = [
-        f"{name_of(path)} {name} has {length} lines"
+        f"{name_of(path)} {name} has {length} lines: split it, or say why not (# long: why)"
         for path in MODULES for name, function in functions_in(path)
         if (length := length_of(function)) > LONGEST and not has_reason(path, function)
     ]  # fmt: skip
@@ -60,7 +60,7 @@ def lines_of_rooms():
 @pytest.mark.parametrize("room", sorted(ROOMS))
 def test_a_room_keeps_its_budget_of_lines_and_the_budget_falls_with_the_room(room):
     lines, budget = lines_of_rooms().get(room, 0), ROOMS[room]
-    assert lines <= budget, f"{room}: {lines} lines, its budget in room_lines.json is {budget}"
+    assert lines <= budget, f"{room}: {lines} lines of {budget} in room_lines.json: delete some"
     assert lines >= budget - SLACK, f"{room}: {lines} lines, lower its budget of {budget} to that"
 
 

@@ -115,15 +115,6 @@ def test_an_encoder_that_this_ffmpeg_lacks_is_refused(ffmpeg, monkeypatch):
         video.require_video(VideoFormat("prores"))
 
 
-def test_the_size_is_known_beforehand(ffmpeg, tmp_path, pictures):
-    for codec, most in (("h264", 1.8), ("prores", 1.05)):
-        needs(ffmpeg, codec)
-        asked = VideoFormat(codec)
-        size = written(tmp_path, pictures, asked).stat().st_size
-        guess = video.bytes_of_video(pictures[:3], COUNT, FPS, asked)
-        assert size / 1.1 < guess < most * size, codec
-
-
 def test_a_missing_encoder_is_told_with_its_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     with pytest.raises(RainsimError, match=r'pip install "rainsim\[video\]"'):

@@ -59,7 +59,7 @@ def test_paving_is_found_in_any_capture_frame(seed):
     assert abs(found.to_ground(frame.to_capture(np.zeros(3)))[2]) < 0.002
     assert found.meters_per_unit == pytest.approx(ASSUMED * frame.meters_per_unit, rel=0.002)
     assert found.scale_assumed and "SCALE IS ASSUMED" in found.notes[-1]
-    assert "--known-length" in found.notes[-1] and "a part of these 12 cameras" in found.notes[-1]
+    assert "--known-length" in found.notes[-1] and "the 12 cameras stood" in found.notes[-1]
     assert found.confidence > 0.8
     np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(found.rotation) > 0

@@ -13,10 +13,11 @@ from rainsim.cli import cli
 from rainsim.commands.variables import VARIABLES
 from rainsim.config.preset_files import HUMAN_KEYS, preset_names
 from rainsim.render.aov import AOVS
-from site_pages import DOCS, PAGES, ROOT, anchors, blocks, commands, links, name_of
+from site_pages import DOCS, PAGES, ROOT, anchors, blocks, commands, links, name_of, sentences
 
 PICTURES = ".png", ".jpg", ".webp", ".svg"
 DRAWINGS = sorted(DOCS.glob("_static/*.svg"))
+LONGEST_SENTENCE, MOST_WORDS = 30, 30_500
 LARGEST_DRAWING, SMALLEST_TEXT = 12_000, 12  # bytes, px
 SHOWN = [pytest.param(path, id=name_of(path)) for path in PAGES]
 
@@ -38,7 +39,7 @@ def from_code():
 def test_the_contents_name_every_page_once(from_code):
     listed = " ".join(from_code.CONTENTS.values()).split()
     there = [path.relative_to(DOCS).with_suffix("").as_posix() for path in DOCS.rglob("*.md")]
-    assert sorted([*listed, "index"]) == sorted(there)
+    assert sorted([*listed, "index"]) == sorted(there), "list the page in docs/from_code.py"
 
 
 @pytest.mark.parametrize("path", SHOWN)
@@ -51,6 +52,20 @@ def test_links_inside_lead_somewhere(path):
         assert place.exists(), link
         if anchor:
             assert anchor in anchors(place), link
+
+
+@pytest.mark.parametrize(
+    "path", [page for page in SHOWN if not page.id.startswith("docs/developers/")]
+)
+def test_no_sentence_is_long(path):
+    long = [one for one in sentences(path) if len(one.split()) > LONGEST_SENTENCE]
+    assert not long, "cut these in two:\n" + "\n".join(long)
+
+
+def test_the_book_for_users_is_short():
+    pages = [path for path in DOCS.rglob("*.md") if path.parent.name != "developers"]
+    words = sum(len(path.read_text(encoding="utf-8").split()) for path in pages)
+    assert words <= MOST_WORDS, f"{words} words: shorten a page, or move it to docs/developers"
 
 
 @pytest.mark.parametrize("path", SHOWN)
@@ -178,7 +193,9 @@ def test_maps_show_the_code_as_it_is():
     """After a change of rooms, passes or streams: `python docs/drawings.py`."""
     maps = module_of("drawings")
     for name, draw in maps.DRAWINGS.items():
-        assert (maps.FOLDER / f"{name}.svg").read_text(encoding="utf-8") == draw(), name
+        assert (maps.FOLDER / f"{name}.svg").read_text(encoding="utf-8") == draw(), (
+            f"{name} is out of date: run `python docs/drawings.py`"
+        )
     assert len(maps.order()) > 25 and {"main", "aside", "beside"} < set(maps.launches().values())
 
 

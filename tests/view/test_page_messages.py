@@ -101,6 +101,9 @@ class Bare:
     def set_config(self, config):
         self.config = config
 
+    def below_ground(self, view):
+        return 0.0
+
     def draw_bare(self, view, width, height):
         assert np.isfinite(view.rotation).all() and 0 < width * height < 1e9
         if width == 72:

@@ -584,6 +584,13 @@ def test_the_thread_answers_draws_and_ends(session, view):
     assert not thread.is_alive()
 
 
+def test_an_eye_below_the_ground_is_told(session, view):
+    session.make()
+    assert session.below_ground(view) == 0
+    assert 0.4 < session.below_ground(replace(view, position=(0.0, 0.0, -0.5))) < 0.6
+    assert session.below_ground(replace(view, position=(1e4, 0.0, -0.5))) == 0
+
+
 def test_a_finished_picture_tells_how_much_of_it_is_badly_seen(session, view):
     pages = opened(session, view)
     assert pages.left == []  # a generated scene: nothing is known
