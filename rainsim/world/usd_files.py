@@ -90,14 +90,20 @@ def _dress(layer, clock):
     layer.framesPerSecond = layer.timeCodesPerSecond = clock.fps
 
 
-def write_world(path, names, clock):
-    """Write the stage that has the layers `names`, files beside it."""
-    from pxr import Sdf
+def write_world(path, names, clock, capture_from_ground=None):
+    """Write the stage that has the layers `names`, files beside it.
+
+    The matrix (4, 4) to a capture's large coordinates stands in its custom data.
+    """
+    from pxr import Gf, Sdf
 
     layer = Sdf.Layer.CreateAnonymous(WORLD)
     Sdf.CreatePrimInLayer(layer, ROOT).specifier = Sdf.SpecifierDef
     layer.GetPrimAtPath(ROOT).typeName = "Xform"
     _dress(layer, clock)
+    if capture_from_ground is not None:
+        matrix = Gf.Matrix4d(capture_from_ground.T.tolist())
+        layer.customLayerData = {"captureFromGround": matrix}
     layer.subLayerPaths = [f"./{name}" for name in names]
     with replacing(path) as temporary, _writing(path):
         layer.Export(str(temporary))

@@ -8,6 +8,7 @@ from rainsim.drops import Weather
 from rainsim.io.files import replacing
 from rainsim.particles.splash import LONGEST_LIFE, WET_FILM
 from rainsim.pipeline import frames_of, simulate
+from rainsim.scene.origin import capture_from_ground
 from rainsim.shading.wetness import paving_dampness
 from rainsim.simulation import surfaces_of
 from rainsim.world.falling import falling_at
@@ -61,7 +62,8 @@ def write_parts(folder, scene, terrain, cameras, config, parts, first, tell):
             paths = {name: files.enter_context(replacing(folder / name)) for name in growing}
             _fill(paths, terrain, cameras, config, clock, tell)
     names = [*layers, *growing]
-    write_world(folder / WORLD, names, clock)
+    large = capture_from_ground(scene) if any(scene.origin) else None
+    write_world(folder / WORLD, names, clock, large)
     return [WORLD, *names, *([GLB] if "ground" in parts else [])], notes
 
 
