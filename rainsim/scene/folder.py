@@ -137,7 +137,7 @@ def import_scene(
     if ground_frame is None:
         frame = _kept_frame(source_hash, splats, cameras, up, meters_per_unit, camera_height)
     else:
-        frame = _as_frame(ground_frame)
+        frame = _as_frame(ground_frame, source_hash)
     name = path.resolve().name if path.is_dir() else _file_name(path, model)
     notes = (*notes, *camera_notes)
     return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes,
@@ -148,7 +148,7 @@ def _import_chunks(path, index, cameras, camera_notes, ground_frame, given):
     """Return the Scene of a Streamed SOG; `given` are the last arguments of `_kept_frame`."""
     pages, splats, source_hash, notes = open_pages(index)
     found = ground_frame is None and _kept_frame(source_hash, splats, cameras, *given)
-    frame = found or _as_frame(ground_frame)
+    frame = found or _as_frame(ground_frame, source_hash)
     name, notes = _file_name(path, index.parent), (*notes, *camera_notes)
     return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes, pages=pages,
                  antialiased=trained_antialiased(index))  # fmt: skip
@@ -202,7 +202,7 @@ def override_ground_frame(
     one is given. A new scale alone leaves the ground plane and the axes unchanged.
     """
     if ground_frame is not None:
-        return in_ground_frame(scene, _as_frame(ground_frame))
+        return in_ground_frame(scene, _as_frame(ground_frame, scene.source_hash))
     frame = scene.ground_frame
     if up is not None:
         if meters_per_unit is None and camera_height is None:
@@ -253,8 +253,8 @@ def _is_path(value):
     return isinstance(value, str | os.PathLike)
 
 
-def _as_frame(value):
-    return value if isinstance(value, GroundFrame) else read_ground_frame(value)
+def _as_frame(value, source_hash):
+    return value if isinstance(value, GroundFrame) else read_ground_frame(value, source_hash)
 
 
 def locate(path):
