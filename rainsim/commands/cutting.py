@@ -81,11 +81,15 @@ def cut_to_scene(job, file, model):
     from rainsim.scene.cameras import cameras_to_data, load_cameras
     from rainsim.scene.folder import cameras_beside
     from rainsim.scene.formats import splat_blocks, trained_antialiased
+    from rainsim.scene.origin import near_origin, origin_note
     from rainsim.scene.photographs import with_photographs
+    from rainsim.scene.ply import origin_of
 
     out, given = job.out, {name: job.given[name] for name in job.given if name != "threads"}
     cameras = given["cameras"]
     cameras, notes = load_cameras(cameras) if cameras else cameras_beside(file, model)
+    origin = origin_of(file)
+    cameras = near_origin(cameras, origin)
     blocks, _ = splat_blocks(file)
     record = Record(out, None, {
         "cut": hash_of_file(file), "cameras": hash_of(cameras_to_data(cameras)),
@@ -101,6 +105,7 @@ def cut_to_scene(job, file, model):
     keep = given["ground_frame"] is not None
     scene = with_photographs(scene, file, beside, photos, keep)
     name = model.resolve().name if file.stem in ("point_cloud", "meta") else file.stem
-    job.set_scene(replace(scene, name=name, source=file, notes=(*scene.notes, *notes)))
+    notes = *scene.notes, *notes, *origin_note(origin)
+    job.set_scene(replace(scene, name=name, source=file, notes=notes, origin=origin))
     record.facts["input"] = input_facts(job.scene, out)
     return record

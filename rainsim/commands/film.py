@@ -22,6 +22,7 @@ from rainsim.errors import InputError, ParameterError, counted
 
 SIMULATION = "simulation.json"
 VERSION = 1  # of simulation.json; those without a version are of version 1
+LATE = 1e-6  # s by which a state may be beside its frame's time
 
 
 @click.command(cls=options.Grouped, short_help="Draw a scene in the rain, from capture to frames.")
@@ -124,7 +125,7 @@ def _write_states(job, ground, source, map_file):
             _write_simulation(job, record, source, map_file, origin)
         status.notes(state.notes)
         name = part.format(state.index)
-        write_state(job.out / name, state)
+        write_state(job.out / name, state, ground)
         ledgers[state.index] = state.ledger
         host = output_folder.host_facts()
         record.journal.add(
@@ -143,6 +144,7 @@ def _write_simulation(job, record, source, map_file, origin):
     """Begin to write; write what `render` needs besides the states: settings, map, ground frame."""
     from rainsim.config.preset_files import SKIES
     from rainsim.io.files import named_path, path_named, replacing, write_json
+    from rainsim.io.fingerprint import hash_of_file
 
     record.begin()
     out, config = job.out, job.config
@@ -160,6 +162,7 @@ def _write_simulation(job, record, source, map_file, origin):
     if isinstance(origin, dict) and isinstance(origin.get("source"), str):
         origin = {**origin, "source": named_path(path_named(origin["source"], source), out)}
     facts = {"rainsim_simulation": VERSION, "preset": str(job.preset), "settings": settings}
+    facts["sha256"] = {name: hash_of_file(path) for name, path in copied.items()}
     write_json(out / SIMULATION, {**facts, "input": origin})
     record.add(SIMULATION, *copied)
     record.write(complete=False)
@@ -197,6 +200,7 @@ def render(states, scene, **given):
 
     made = read_simulation(states)
     job = FilmJob(given, base=made["config"])
+    _require_own_files(states, made["sha256"])
     job.preset, origin = made["preset"], made["origin"]
     if scene is None and origin["source"]:
         scene = str(path_named(origin["source"], states))
@@ -223,16 +227,44 @@ def render(states, scene, **given):
         _state_file(states, job.config.moment(index))
 
     def frames(config):
-        from rainsim.io.states import read_state
         from rainsim.terrain.map_files import read_terrain
 
         ground, folder = read_terrain(states), states.resolve()  # workers are elsewhere
-        return job.frames(
-            ground, config, lambda index: read_state(_state_file(folder, index), ground)
-        )
+        fps = made["config"].fps
+        return job.frames(ground, config, lambda index: _state_of(folder, index, fps, ground))
 
     with job.compiling(uses_of(loaded.source or loaded.name, job.config, job.layers, job.backend)):
         job.write(frames, {"states": states_content(states)}, states, loaded.source)
+
+
+def _require_own_files(states, hashes):
+    """Raise InputError unless map and ground frame beside states are those they were made with.
+
+    `hashes` are what simulation.json says, {} in older ones.
+    """
+    from rainsim.io.fingerprint import hash_of_file
+
+    for name in ("terrain.npz", "ground_frame.json"):
+        path = states / name
+        if name in hashes and path.is_file() and hash_of_file(path) != hashes[name]:
+            raise InputError(
+                f"{path} is not the file that the states beside it were made with; water lies on "
+                "its own map only; copy it back, or simulate again"
+            )
+
+
+def _state_of(states, index, fps, ground):
+    """Return the state of a frame, which must be of its time at `fps` frames/s, and of `ground`."""
+    from rainsim.io.states import read_state
+
+    path = _state_file(states, index)
+    state = read_state(path, ground)
+    if state.index != index or abs(state.time - index / fps) > LATE:
+        raise InputError(
+            f"{path} is frame {state.index} at {state.time:g} s; it must be frame {index} at "
+            f"{index / fps:g} s, as {SIMULATION} has it; simulate again"
+        )
+    return state
 
 
 def _state_file(states, index):
@@ -267,7 +299,11 @@ def read_simulation(states):
         config = Config.from_dict(made["settings"])
     except (AttributeError, KeyError, TypeError, ParameterError) as error:
         raise InputError(f"{path} has no usable settings ({error}); {remedy}") from None
-    return {"config": config, "preset": str(made.get("preset", "")), "origin": _origin(made, path)}
+    hashes = made.get("sha256")
+    return {
+        "config": config, "preset": str(made.get("preset", "")), "origin": _origin(made, path),
+        "sha256": hashes if isinstance(hashes, dict) else {},
+    }  # fmt: skip
 
 
 def _origin(made, path):

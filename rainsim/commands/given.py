@@ -305,6 +305,7 @@ def cameras_of(scene, config, given, say=None):
     """
     from rainsim.demo_scenes import FIRST_VIEWS
     from rainsim.scene.cameras import orbit, read_path
+    from rainsim.scene.origin import near_origin
     from rainsim.surface.offered_views import with_offered_cameras
 
     if given.get("eye") is not None:
@@ -336,7 +337,7 @@ def cameras_of(scene, config, given, say=None):
         cameras = [placed_camera(first, up, config.width, config.height)]
     else:
         cameras = [named_camera(scene, given.get("camera"))]
-    return _sized(cameras, config), config
+    return _sized(near_origin(cameras, scene.origin), config), config
 
 
 def view_on(scene, terrain, cameras, config, given, status):

@@ -73,7 +73,8 @@ def heightmap(scene, check, **given):
         record.begin()
         record.add(*(path.name for path in write_terrain(job.out, terrain)))
         if loaded is not None:
-            write_ground_frame(job.out / GROUND_FRAME, loaded.ground_frame)
+            frame_file = job.out / GROUND_FRAME
+            write_ground_frame(frame_file, loaded.ground_frame, loaded.source_hash)
             record.add(GROUND_FRAME)
         puddles, depth = _puddles(job.out, terrain, record)
         checked = None

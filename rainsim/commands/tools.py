@@ -79,7 +79,7 @@ def import_(path, info, lod, **given):
         scene = job.scene
         frame = scene.ground_frame
         write_scene(out, scene)
-        write_ground_frame(out / GROUND_FRAME, frame)
+        write_ground_frame(out / GROUND_FRAME, frame, scene.source_hash)
         arrays = () if scene.pages is not None else ("splats.npz",)
         moving = (ACTORS_ARRAYS,) if scene.actors else ()
         record.add("scene.json", *arrays, *moving, GROUND_FRAME)

@@ -76,6 +76,7 @@ class SimState:
 VERSION = 1
 STATE, STATE_REMEDY = "water state", "`rainsim simulate` writes it; simulate again"
 FARTHEST, LONGEST = 1e7, 1e9  # m, s: places and times in a file
+FRAME_RATES, ROUNDED = (0.1, 9999.0), 1 + 1e-9  # frames/s, as of the setting fps
 LONGEST_FALL, LARGEST_DROP = 500.0, 0.05  # s, m: of drips
 _FIELDS = {
     "depth": Field("float32", ("ny", "nx"), 0, 1e5),
@@ -94,16 +95,22 @@ _OTHERS = {
     "tile_size": Field("float64", (), 0.01, 100),
     "ledger": Field(TEXT),
     "notes": Field(TEXT),
+    "ground": Field(TEXT, needed=False),  # digest of the bed; not in the files of old versions
 }
 
 
-def write_state(path, state):
-    """Write the `SimState` `state` to `path` as an uncompressed .npz."""
+def write_state(path, state, terrain=None):
+    """Write the `SimState` `state` to `path` as an uncompressed .npz.
+
+    With the `Terrain` that the water is on, `read_state` refuses it on any other.
+    """
     others = {
         "index": np.int64(state.index), "time": np.float64(state.time),
         "tile_size": np.float64(state.tile_size), "ledger": json.dumps(state.ledger),
         "notes": json.dumps(state.notes),
     }  # fmt: skip
+    if terrain is not None:
+        others["ground"] = digest(terrain.bed)
     write_arrays(path, VERSION, {n: getattr(state, n) for n in _FIELDS} | others)
 
 
@@ -125,8 +132,12 @@ def read_state(path, terrain=None):
     found = read_arrays(path, STATE, _FIELDS | _OTHERS, VERSION, STATE_REMEDY)
     facts = {"ledger": parsed_json(found["ledger"]), "notes": parsed_json(found["notes"])}
     tops = 0 if terrain is None else len(terrain.tops)
+    index, time = int(found["index"]), float(found["time"])
+    ground = None if terrain is None else digest(terrain.bed)
     for wrong, text in (
         (not _are_volumes(facts["ledger"]), "its ledger is not that of rainsim"),
+        (not _is_frame(index, time), f"its frame {index} is at {time:g} s; frame 0 must be at 0 s "
+         f"and others at {FRAME_RATES[0]:g} to {FRAME_RATES[1]:g} frames/s"),
         (not _are_texts(facts["notes"]), "its notes are not a list of texts"),
         (found["slopes"].shape[1] < 2, "its tile of ripples has no cells"),
         (not _fall(found["drips"]), "its drips do not fall"),
@@ -134,11 +145,13 @@ def read_state(path, terrain=None):
          "it is not of this height map, whose shape is another"),
         (terrain is not None and len(found["top_water"]) not in (0, tops),
          "it is not of this height map, which has other tops"),
+        (terrain is not None and found.get("ground", ground) != ground,
+         "it is not of this height map, whose ground is another"),
     ):  # fmt: skip
         if wrong:
             raise InputError(f"{path} is no {STATE} of rainsim ({text}); {STATE_REMEDY}")
     return SimState(
-        index=int(found["index"]), time=float(found["time"]), tile_size=float(found["tile_size"]),
+        index=index, time=time, tile_size=float(found["tile_size"]),
         ledger=facts["ledger"], notes=tuple(facts["notes"]),
         **{n: found[n] for n in _FIELDS},
     )  # fmt: skip
@@ -148,6 +161,14 @@ def _are_volumes(ledger):
     """Whether a value read from JSON is an account of volumes."""
     names = (*SUPPLY, *WHEREABOUTS)
     return isinstance(ledger, dict) and all(json_number(ledger.get(n)) is not None for n in names)
+
+
+def _is_frame(index, time):
+    """Whether a time [s] is that of a frame at a rate that settings can have."""
+    low, high = FRAME_RATES
+    if index == 0:
+        return time == 0
+    return low * time <= index * ROUNDED and index <= high * time * ROUNDED
 
 
 def _are_texts(notes):

@@ -72,7 +72,11 @@ def input_facts(scene, folder):
     if scene is None:
         return None
     from rainsim.scene.ground import ground_frame_to_dict
+    from rainsim.scene.origin import capture_from_ground
 
+    large = {} if not any(scene.origin) else {
+        "origin": list(scene.origin), "capture_from_ground": capture_from_ground(scene).tolist()
+    }  # fmt: skip
     return {
         "scene": scene.name,
         "source": None if scene.source is None else named_path(scene.source, folder),
@@ -80,6 +84,7 @@ def input_facts(scene, folder):
         "splats": len(scene.splats),
         "ground_frame": ground_frame_to_dict(scene.ground_frame),
         "notes": list(scene.notes),
+        **large,
     }
 
 

@@ -76,6 +76,7 @@ class FrameFolder:
     def _begin(self):
         from rainsim.io.video import VideoWriter
         from rainsim.scene.cameras import write_transforms
+        from rainsim.scene.origin import NOWHERE, moved
 
         if self._has_begun:
             return
@@ -85,6 +86,9 @@ class FrameFolder:
         cameras = list(self._cameras) if len(self._cameras) > 1 else [self._cameras[0]] * count
         names = [FRAME.format(i) for i in range(count)]
         lens = self.record.facts.get("optics", {}).get("lens")
+        origin = (self.record.facts.get("input") or {}).get("origin", NOWHERE)
+        if any(origin):  # the capture's own coordinates
+            cameras = moved(cameras, origin)
         write_transforms(self.folder / "transforms.json", cameras[:count], names, lens)
         self.record.add("transforms.json")
         if self._format:

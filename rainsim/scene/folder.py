@@ -50,7 +50,9 @@ from rainsim.scene.ground import (
     rescale_ground_frame,
 )
 from rainsim.scene.lamps import with_lamps
+from rainsim.scene.origin import NOWHERE, near_origin, step_note
 from rainsim.scene.painted import PAINTED_FILE, read_painted, write_painted
+from rainsim.scene.ply import origin_of
 from rainsim.scene.sight import in_nerfstudio_frame, require_sight, settled
 from rainsim.scene.types import GroundFrame, Scene, Splats
 
@@ -105,7 +107,7 @@ def import_scene(
         scene = read_scene(folder)
         settled(scene.splats, (), (), spz_frame)  # a scene folder has its frame
         if cameras is not None:
-            notes = (*scene.notes, *camera_notes)
+            notes, cameras = (*scene.notes, *camera_notes), near_origin(cameras, scene.origin)
             scene = replace(scene, cameras=tuple(cameras), notes=notes)
         return override_ground_frame(scene, up, meters_per_unit, camera_height, ground_frame)
     splat_file, model = locate(path)
@@ -124,7 +126,9 @@ def import_scene(
             cameras, more = in_nerfstudio_frame(splat_file, camera_file, cameras)
             camera_notes = [*camera_notes, *more]
         source_hash = hashed.result()
-    splats, notes = settled(read, notes, cameras, spz_frame)
+    origin = origin_of(splat_file)
+    cameras = near_origin(cameras, origin)
+    splats, notes = settled(read, [*notes, *step_note(read)], cameras, spz_frame)
     if splats is not read:
         source_hash = hashlib.sha256(f"{source_hash} turned".encode()).hexdigest()
     camera_notes = [*camera_notes, *require_sight(path, splats, cameras)]
@@ -133,18 +137,18 @@ def import_scene(
     if ground_frame is None:
         frame = _kept_frame(source_hash, splats, cameras, up, meters_per_unit, camera_height)
     else:
-        frame = _as_frame(ground_frame)
+        frame = _as_frame(ground_frame, source_hash)
     name = path.resolve().name if path.is_dir() else _file_name(path, model)
     notes = (*notes, *camera_notes)
     return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes,
-                 antialiased=trained_antialiased(splat_file))  # fmt: skip
+                 antialiased=trained_antialiased(splat_file), origin=origin)  # fmt: skip
 
 
 def _import_chunks(path, index, cameras, camera_notes, ground_frame, given):
     """Return the Scene of a Streamed SOG; `given` are the last arguments of `_kept_frame`."""
     pages, splats, source_hash, notes = open_pages(index)
     found = ground_frame is None and _kept_frame(source_hash, splats, cameras, *given)
-    frame = found or _as_frame(ground_frame)
+    frame = found or _as_frame(ground_frame, source_hash)
     name, notes = _file_name(path, index.parent), (*notes, *camera_notes)
     return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes, pages=pages,
                  antialiased=trained_antialiased(index))  # fmt: skip
@@ -156,6 +160,11 @@ def _import_with_actors(path, file, *given):
     scene = import_scene(found.static, *given)
     if scene.actors:
         raise InputError(f"{file}: its scene has actors already; it must be a static set; {REMEDY}")
+    if any(scene.origin):
+        raise InputError(
+            f"{file}: its static set has large coordinates, those of a map; actors need small "
+            f"ones; take the same offset off all of its files; {REMEDY}"
+        )
     notes = found.notes
     if found.lamps:
         splats, counts = with_lamps(scene.splats, found.lamps)
@@ -193,7 +202,7 @@ def override_ground_frame(
     one is given. A new scale alone leaves the ground plane and the axes unchanged.
     """
     if ground_frame is not None:
-        return in_ground_frame(scene, _as_frame(ground_frame))
+        return in_ground_frame(scene, _as_frame(ground_frame, scene.source_hash))
     frame = scene.ground_frame
     if up is not None:
         if meters_per_unit is None and camera_height is None:
@@ -244,8 +253,8 @@ def _is_path(value):
     return isinstance(value, str | os.PathLike)
 
 
-def _as_frame(value):
-    return value if isinstance(value, GroundFrame) else read_ground_frame(value)
+def _as_frame(value, source_hash):
+    return value if isinstance(value, GroundFrame) else read_ground_frame(value, source_hash)
 
 
 def locate(path):
@@ -387,6 +396,7 @@ def scene_to_data(scene):
         **({} if scene.pages is None else {"chunks": LOD_META}),
         **({"antialiased": True} if scene.antialiased else {}),
         **({"captured_sun": scene.captured_sun} if scene.captured_sun else {}),
+        **({"origin": list(scene.origin)} if any(scene.origin) else {}),
     }
 
 
@@ -399,6 +409,7 @@ def scene_from_data(data, splats, where, name=""):
     """
     cameras, notes = data.get("cameras"), data.get("notes")
     sun = number_array(data.get("captured_sun"), (3,))
+    origin = number_array(data.get("origin"), (3,))
     return Scene(
         name=printable_name(data.get("name", name)),
         splats=splats,
@@ -409,6 +420,7 @@ def scene_from_data(data, splats, where, name=""):
         drains=_read_drains(data.get("drains", []), where),
         antialiased=data.get("antialiased") is True,
         captured_sun=None if sun is None or not sun.any() else tuple((sun / norm(sun)).tolist()),
+        origin=NOWHERE if origin is None else tuple(origin.tolist()),
     )
 
 

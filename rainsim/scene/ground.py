@@ -335,11 +335,12 @@ def _numbers(data, key, shape, source):
     return value
 
 
-def read_ground_frame(path):
+def read_ground_frame(path, source_hash=""):
     """Read the GroundFrame in the JSON file `path`, as `write_ground_frame` writes it.
 
     Only rotation (3 rows: the ground's x, y and z axes in the capture frame), meters_per_unit and
-    translation [m] are required; a file without a version is of version 1.
+    translation [m] are required; a file without a version is of version 1. `source_hash` is that of
+    the scene it is for: a note says if the file was made for another.
     """
     data = read_json(path, "a ground frame")
     if isinstance(data, dict) and data.get(VERSION_KEY, VERSION) != VERSION:
@@ -347,9 +348,21 @@ def read_ground_frame(path):
             f"{path} has {VERSION_KEY} {shown(data[VERSION_KEY])}; it must be {VERSION}; write it "
             "with rainsim import"
         )
-    return ground_frame_from_dict(data, path)
+    frame = ground_frame_from_dict(data, path)
+    own = data.get("source_sha256")
+    if not (own and source_hash) or own == source_hash:
+        return frame
+    note = (
+        f"THE GROUND FRAME IS OF ANOTHER CAPTURE: {path} was made for other splats; it fits only a "
+        "capture in the same coordinates, as one that was trained again"
+    )
+    return replace(frame, notes=(*frame.notes, note))
 
 
-def write_ground_frame(path, frame):
-    """Write a GroundFrame as a JSON file that reads back exactly."""
-    write_json(path, {VERSION_KEY: VERSION, **ground_frame_to_dict(frame)})
+def write_ground_frame(path, frame, source_hash=""):
+    """Write a GroundFrame as a JSON file that reads back exactly.
+
+    `source_hash` is that of the scene whose ground it is.
+    """
+    source = {"source_sha256": source_hash} if source_hash else {}
+    write_json(path, {VERSION_KEY: VERSION, **source, **ground_frame_to_dict(frame)})

@@ -32,7 +32,8 @@ from rainsim.scene.activate import (
     keep_good,
     require_few_broken,
 )
-from rainsim.scene.plyheader import REMEDY, Element, read_header
+from rainsim.scene.origin import NOWHERE, SAMPLE, origin_note, whole_origin
+from rainsim.scene.plyheader import REMEDY, Element, header_of, read_header
 
 POSITION = ("x", "y", "z")
 BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -76,10 +77,26 @@ def read_splats(path):
 def read_plain(path, header, max_broken):
     """Return the Splats of an uncompressed PLY, notes and how many splats were dropped."""
     vertex = _require_splats(path, header)
-    layout = _layout(path, vertex)
-    splats, good = _read_rows(path, vertex, layout)
+    layout, origin = _layout(path, vertex), _origin(path, vertex)
+    splats, good = _read_rows(path, vertex, layout, origin)
     splats, broken = keep_good(path, splats, good, max_broken)
-    return splats, [*_variant_notes(layout), *dropped_note(broken, len(splats))], broken
+    dropped = dropped_note(broken, len(splats))
+    return splats, [*_variant_notes(layout), *dropped, *origin_note(origin)], broken
+
+
+def origin_of(path):
+    """Return what is taken off the places of a splat file when it is read, see `scene.origin`."""
+    header = header_of(path)
+    if header is None or header.compressed:
+        return NOWHERE
+    return _origin(path, _require_splats(path, header))
+
+
+def _origin(path, vertex):
+    if any(vertex.row[name].itemsize < 8 for name in POSITION):
+        return NOWHERE
+    rows = np.fromfile(path, vertex.row, min(vertex.count, SAMPLE), offset=vertex.offset)
+    return whole_origin(np.stack([rows[name] for name in POSITION], axis=1))
 
 
 def plain_blocks(path, header, rows=BLOCK):
@@ -90,11 +107,11 @@ def plain_blocks(path, header, rows=BLOCK):
         part.
     """
     vertex = _require_splats(path, header)
-    layout, broken = _layout(path, vertex), 0
+    layout, broken, origin = _layout(path, vertex), 0, _origin(path, vertex)
     for start in range(0, vertex.count, rows):
         offset = vertex.offset + start * vertex.row.itemsize
         part = replace(vertex, count=min(rows, vertex.count - start), offset=offset)
-        splats, good = _read_rows(path, part, layout)
+        splats, good = _read_rows(path, part, layout, origin)
         broken += len(good) - int(np.count_nonzero(good))
         yield splats if good.all() else splats.take(good)
     require_few_broken(path, broken, vertex.count)
@@ -167,8 +184,9 @@ def _variant_notes(layout):
 # --- rows -----------------------------------------------------------------------------------------
 
 
-def _read_rows(path, vertex, layout):
+def _read_rows(path, vertex, layout, origin):
     """Return the activated Splats and a mask of those whose values are all usable."""
+    taken = dict(zip(POSITION, origin, strict=True))
     splats = empty_splats(vertex.count, layout.coefficients)
     good = np.empty(vertex.count, bool)
 
@@ -180,15 +198,18 @@ def _read_rows(path, vertex, layout):
         if len(rows) < count:
             raise InputError(f"{path} became shorter while it was read; try again")
         part = slice(start, start + count)
-        good[part] = _activate(_columns(rows), layout, splats, part)
+        good[part] = _activate(_columns(rows, taken), layout, splats, part)
 
     with ThreadPoolExecutor(READERS) as pool:  # numpy works outside Python's lock
         list(pool.map(read_part, range(0, vertex.count, ROWS_PER_STEP)))
     return splats, good
 
 
-def _columns(rows):
-    """Return a function from property names to their float32 values of shape (n, names)."""
+def _columns(rows, taken):
+    """Return a function from property names to their float32 values of shape (n, names).
+
+    `taken` is what is taken off float64 values first, by name.
+    """
     fields = rows.dtype.fields
     if all(kind == np.dtype("<f4") for kind, _ in fields.values()):
         table = rows.view("<f4").reshape(len(rows), -1)
@@ -204,7 +225,8 @@ def _columns(rows):
 
     def convert(names):
         with np.errstate(all="ignore"):  # what float32 cannot hold is counted as broken
-            return np.stack([rows[name].astype(np.float32) for name in names], axis=1)
+            columns = (rows[name] - taken.get(name, 0.0) for name in names)
+            return np.stack([column.astype(np.float32) for column in columns], axis=1)
 
     return convert
 

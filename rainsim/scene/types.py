@@ -270,6 +270,8 @@ class Scene:
         Unit vector to the sun in the capture frame, as place and time of photographs have it.
     photographs : tuple of (Path or None)
         Of the cameras, in their order; empty if there are none.
+    origin : tuple of 3 floats [capture units]
+        Whole numbers that were taken off splats and cameras in large coordinates.
 
     Examples
     --------
@@ -291,6 +293,7 @@ class Scene:
     antialiased: bool = False
     captured_sun: tuple | None = None
     photographs: tuple = ()
+    origin: tuple = (0.0, 0.0, 0.0)
 
     @property
     def painted_hash(self):

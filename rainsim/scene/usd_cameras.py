@@ -15,6 +15,7 @@ from rainsim.scene.shot_camera import (
     frame_times,
     require_chosen,
 )
+from rainsim.scene.usd_guard import require_tame
 
 INSTALL = 'pip install "rainsim[usd]"'
 
@@ -59,7 +60,7 @@ def _opened(path):
     from pxr import Tf, Usd
 
     try:
-        return Usd.Stage.Open(str(path))
+        return Usd.Stage.Open(require_tame(path))
     except Tf.ErrorException:
         raise InputError(
             f"{path} cannot be opened as USD; it must be whole and undamaged; export it again"

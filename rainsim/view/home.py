@@ -142,7 +142,7 @@ class Home:
 
     def _ground(self, session, folder):
         """Write ground frame and painted classes into a folder; return their options."""
-        write_ground_frame(folder / GROUND, session.scene.ground_frame)
+        write_ground_frame(folder / GROUND, session.scene.ground_frame, session.scene.source_hash)
         return ["--ground-frame", relative(folder / GROUND), *self._mask(session, folder)]
 
     def _mask(self, session, folder):

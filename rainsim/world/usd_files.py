@@ -5,10 +5,13 @@ All are in the ground frame, in metres with z up; a time code is a frame.
 
 from __future__ import annotations
 
+import re
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.errors import RainsimError
 from rainsim.io.files import replacing
 
 SENSOR = 0.036  # m, width that a camera's picture is given: 36 mm, as on film of 35 mm
@@ -36,19 +39,44 @@ class Clock(NamedTuple):
 
 
 class Layer:
-    """A stage that is filled in memory and written at once, whole or not at all."""
+    """A stage that is filled in memory and written at once, whole or not at all.
 
-    def __init__(self, clock):
+    With a `path` it is a file from the first: what `save` has written leaves the memory.
+    """
+
+    def __init__(self, clock, path=None):
         from pxr import Usd, UsdGeom
 
-        self.stage = Usd.Stage.CreateInMemory()
+        self.path = path
+        self.stage = Usd.Stage.CreateInMemory() if path is None else Usd.Stage.CreateNew(str(path))
         self.root = UsdGeom.Xform.Define(self.stage, ROOT)
         _dress(self.stage.GetRootLayer(), clock)
 
+    def save(self):
+        """Write what was added since the last time to the layer's own file."""
+        with _writing(self.path):
+            self.stage.GetRootLayer().Save()
+
     def write(self, path):
         """Write the stage; what the name ends in is the format."""
-        with replacing(path) as temporary:
+        with replacing(path) as temporary, _writing(path):
             self.stage.GetRootLayer().Export(str(temporary))
+
+
+@contextmanager
+def _writing(path):
+    """Raise RainsimError in one line where the library cannot write, as on a full disk."""
+    from pxr import Tf
+
+    try:
+        yield
+    except Tf.ErrorException as error:
+        found = re.search(r" : '(.*)'", str(error))
+        fault = found[1] if found else "no reason is given"
+        raise RainsimError(
+            f"{path.parent} did not take a USD file ({fault}); the folder must have room and take "
+            "files; make room, or give another --out"
+        ) from None
 
 
 def _dress(layer, clock):
@@ -62,16 +90,22 @@ def _dress(layer, clock):
     layer.framesPerSecond = layer.timeCodesPerSecond = clock.fps
 
 
-def write_world(path, names, clock):
-    """Write the stage that has the layers `names`, files beside it."""
-    from pxr import Sdf
+def write_world(path, names, clock, capture_from_ground=None):
+    """Write the stage that has the layers `names`, files beside it.
+
+    The matrix (4, 4) to a capture's large coordinates stands in its custom data.
+    """
+    from pxr import Gf, Sdf
 
     layer = Sdf.Layer.CreateAnonymous(WORLD)
     Sdf.CreatePrimInLayer(layer, ROOT).specifier = Sdf.SpecifierDef
     layer.GetPrimAtPath(ROOT).typeName = "Xform"
     _dress(layer, clock)
+    if capture_from_ground is not None:
+        matrix = Gf.Matrix4d(capture_from_ground.T.tolist())
+        layer.customLayerData = {"captureFromGround": matrix}
     layer.subLayerPaths = [f"./{name}" for name in names]
-    with replacing(path) as temporary:
+    with replacing(path) as temporary, _writing(path):
         layer.Export(str(temporary))
 
 
@@ -133,10 +167,10 @@ def ground_layer(ground, clock):
 class WaterLayer(Layer):
     """Puddles over time; their faces change from frame to frame."""
 
-    def __init__(self, clock):
+    def __init__(self, clock, path):
         from pxr import Sdf, UsdGeom
 
-        super().__init__(clock)
+        super().__init__(clock, path)
         self._mesh = _mesh(self, "Water")
         primvars, vertex = UsdGeom.PrimvarsAPI(self._mesh), UsdGeom.Tokens.vertex
         types = Sdf.ValueTypeNames
@@ -155,10 +189,10 @@ class WaterLayer(Layer):
 class RainLayer(Layer):
     """Drops and droplets as points, crowns and jets as threads, over time."""
 
-    def __init__(self, clock):
+    def __init__(self, clock, path):
         from pxr import UsdGeom
 
-        super().__init__(clock)
+        super().__init__(clock, path)
         UsdGeom.Xform.Define(self.stage, f"{ROOT}/Rain")
         self._points = [
             UsdGeom.Points.Define(self.stage, f"{ROOT}/Rain/{name}")

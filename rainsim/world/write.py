@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 from rainsim.drops import Weather
+from rainsim.io.files import replacing
 from rainsim.particles.splash import LONGEST_LIFE, WET_FILM
 from rainsim.pipeline import frames_of, simulate
+from rainsim.scene.origin import capture_from_ground
 from rainsim.shading.wetness import paving_dampness
 from rainsim.simulation import surfaces_of
 from rainsim.world.falling import falling_at
@@ -22,6 +26,7 @@ from rainsim.world.usd_files import (
 
 CAMERA, GROUND, WATER = "camera.usda", "ground.usdc", "water.usdc"
 RAIN, CAPTURE, GLB = "rain.usdc", "capture.usdc", "ground.glb"
+BLOCK = 16  # frames that are held in memory; some 100 MB in a downpour at 1920 px
 
 
 def write_parts(folder, scene, terrain, cameras, config, parts, first, tell):
@@ -49,16 +54,17 @@ def write_parts(folder, scene, terrain, cameras, config, parts, first, tell):
     if "capture" in parts:
         layers[CAPTURE] = capture_layer(scene, clock)
         notes += _left_out(scene)
-    if "water" in parts:
-        layers[WATER] = WaterLayer(clock)
-    if "rain" in parts:
-        layers[RAIN] = RainLayer(clock)
-    if WATER in layers or RAIN in layers:
-        _fill(layers.get(WATER), layers.get(RAIN), terrain, cameras, config, clock, tell)
     for name, layer in layers.items():
         layer.write(folder / name)
-    write_world(folder / WORLD, layers, clock)
-    return [WORLD, *layers, *([GLB] if "ground" in parts else [])], notes
+    growing = [name for name, part in ((WATER, "water"), (RAIN, "rain")) if part in parts]
+    if growing:
+        with ExitStack() as files:
+            paths = {name: files.enter_context(replacing(folder / name)) for name in growing}
+            _fill(paths, terrain, cameras, config, clock, tell)
+    names = [*layers, *growing]
+    large = capture_from_ground(scene) if any(scene.origin) else None
+    write_world(folder / WORLD, names, clock, large)
+    return [WORLD, *names, *([GLB] if "ground" in parts else [])], notes
 
 
 def _left_out(scene):
@@ -70,10 +76,13 @@ def _left_out(scene):
     return notes
 
 
-def _fill(water, rain, terrain, cameras, config, clock, tell):
-    """Add each frame's water and rain to their layers; None for a layer that is not wanted."""
-    weather, surfaces, done = Weather(config), surfaces_of(terrain), 0
-    for state in frames_of(simulate(terrain, config), config, tell):
+def _fill(paths, terrain, cameras, config, clock, tell):
+    """Write each frame's water and rain to the files whose names are in `paths`, in blocks."""
+    water = WaterLayer(clock, paths[WATER]) if WATER in paths else None
+    rain = RainLayer(clock, paths[RAIN]) if RAIN in paths else None
+    layers = [layer for layer in (water, rain) if layer is not None]
+    weather, surfaces = Weather(config), surfaces_of(terrain)
+    for done, state in enumerate(frames_of(simulate(terrain, config), config, tell), start=1):
         code = clock.code(state.index)
         if water is not None:
             water.add(code, water_mesh(terrain, state.depth, state.velocity))
@@ -83,5 +92,6 @@ def _fill(water, rain, terrain, cameras, config, clock, tell):
             camera = cameras[0 if len(cameras) == 1 else state.index]
             film = WET_FILM * paving_dampness(now)
             rain.add(code, falling_at(state, field, surfaces, camera, now.render, film))
-        done += 1
+        for layer in layers if done % BLOCK == 0 or done == config.frames else ():
+            layer.save()
         tell("frames", done, config.frames)

@@ -146,6 +146,10 @@ def test_states_of_another_scene_are_refused(rainsim, scene_folder, tmp_path):
     (tmp_path / "states" / "simulation.json").write_text(text.replace("0" * 64, "1" * 64))
     done = rainsim("render", "states", "--width", 64)
     assert done.code == 1 and "made for other splats" in done.error
+    with open(tmp_path / "states" / "terrain.npz", "ab") as file:
+        file.write(b"of another capture")
+    done = rainsim("render", "states", "--width", 64)
+    assert done.code == 1 and "is not the file that the states beside it were made" in done.error
 
 
 def test_frames_of_a_range_are_those_of_the_whole(film, tmp_path):

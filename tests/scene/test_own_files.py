@@ -129,6 +129,9 @@ def test_arrays_of_another_type_shape_or_range_are_refused(kind):
     [
         (make_state, "tile_size", 1e-30, "tile_size is 1e-30"),
         (make_state, "index", np.int64(-1), "index is -1"),
+        (make_state, "time", 1e-9, "its frame 2 is at 1e-09 s; frame 0 must be at 0 s"),
+        (make_state, "time", -1.0, "time is -1"),
+        (make_state, "time", np.nan, "time is from nan"),
         (make_state, "ledger", '{"rain": 1e999}', "its ledger"),
         (make_state, "ledger", "[" * 5000, "its ledger"),
         (make_state, "notes", '["a", 1' + "0" * 5000 + "]", "its notes"),
@@ -162,6 +165,18 @@ def test_a_state_of_another_map_is_refused(tmp_path):
     read_state(path)  # by itself it is sound
     with pytest.raises(InputError, match="not of this height map"):
         read_state(path, made.small_terrain())
+    terrain = made.small_terrain()
+    write_state(path, made.small_state(), terrain)
+    assert read_state(path, terrain).index == 2
+    with pytest.raises(InputError, match="height map, whose ground is another"):
+        read_state(path, replace(terrain, bed=terrain.bed - np.float32(1e-3)))
+
+
+def test_a_ground_frame_of_another_capture_is_said(tmp_path):
+    path = tmp_path / "g.json"
+    write_ground_frame(path, GroundFrame(np.eye(3), 1.0, np.zeros(3)), "a" * 64)
+    assert read_ground_frame(path, "a" * 64).notes == read_ground_frame(path).notes == ()
+    assert "OF ANOTHER CAPTURE" in read_ground_frame(path, "b" * 64).notes[0]
 
 
 def test_files_of_before_versions_are_read(kind):

@@ -7,6 +7,7 @@ import pytest
 
 from rainsim.config.settings import Config
 from rainsim.drops import RainField, RainSpectrum, Weather
+from rainsim.errors import RainsimError
 from rainsim.particles.line_raster import NEAR
 from rainsim.particles.splash_pass import draw_splashes
 from rainsim.particles.streaks import draw_streaks, streak_reach
@@ -17,7 +18,7 @@ from rainsim.simulation import surfaces_of
 from rainsim.water.puddles import WET
 from rainsim.world import falling
 from rainsim.world.meshes import ground_mesh, water_mesh, write_glb
-from rainsim.world.usd_files import Clock, camera_layer
+from rainsim.world.usd_files import Clock, RainLayer, camera_layer
 from rainsim.world.write import write_parts
 from scenes import looking, tiny_scene
 
@@ -157,6 +158,27 @@ def test_a_camera_comes_back_to_one_in_a_million(tmp_path):
     first, found = cameras[0], shot.cameras[0]
     for name in ("fx", "fy", "cx", "cy"):
         assert getattr(found, name) == pytest.approx(getattr(first, name), rel=1e-6)
+
+
+def test_what_a_layer_has_saved_is_whole_and_a_full_disk_is_one_line(tmp_path, monkeypatch):
+    Usd = pytest.importorskip("pxr.Usd")
+    from pxr import Tf
+
+    layer = RainLayer(Clock(0, 3, 24.0), tmp_path / "rain.usdc")
+    for code in range(3):
+        rows = np.full((code + 1, 7), code, float)
+        layer.add(code, falling.Falling(rows, rows[:0], rows[:0]))
+        layer.save()
+    stage = Usd.Stage.Open(str(tmp_path / "rain.usdc"))
+    points = stage.GetPrimAtPath("/World/Rain/Drops")
+    assert [len(points.GetAttribute("points").Get(code)) for code in range(3)] == [1, 2, 3]
+
+    def full(*_):
+        raise Tf.ErrorException("Error in 'A' at line 1 in file b : 'No space left on device'")
+
+    monkeypatch.setattr(type(layer.stage.GetRootLayer()), "Save", full)
+    with pytest.raises(RainsimError, match=r"did not take a USD file \(No space left"):
+        layer.save()
 
 
 def test_the_stages_hold_all_parts_and_nothing_is_found_wrong(scene, terrain, config, tmp_path):
