@@ -102,7 +102,7 @@ _OTHERS = {
 def write_state(path, state, terrain=None):
     """Write the `SimState` `state` to `path` as an uncompressed .npz.
 
-    With the `Terrain` that the water is on, `read_state` refuses it on any other.
+    With `terrain`, the `Terrain` that the water is on, `read_state` refuses it on any other.
     """
     others = {
         "index": np.int64(state.index), "time": np.float64(state.time),

@@ -71,7 +71,7 @@ def test_run_writes_all_that_it_promises(film, tmp_path):
     assert names == {*kept["files"], "provenance.json"}  # and no temporary file
     assert kept["complete"] and kept["frames"] == [0, 1, 2] and kept["rainsim_record"] == 1
     stages = {"start", "reading", "terrain", "light", "water", "frames"}
-    assert stages <= kept["stages"].keys() and ", light " in done.err
+    assert stages <= kept["stages"].keys() and " s: " in done.err
     assert kept["seed"] == 0 and kept["preset"] == "downpour"
     assert kept["settings"]["rain"]["rate"] == pytest.approx(50 / 3.6e6)
     assert kept["input"]["ground_frame"]["meters_per_unit"] == 0.6

@@ -271,7 +271,7 @@ def test_the_number_of_processes(monkeypatch):
     assert processes() == 1
 
 
-def test_the_status_names_the_stage_that_goes_on_meanwhile(capsys):
+def test_the_status_says_how_far_compiling_is_and_no_quick_stage(capsys):
     status = Status()
     with status:
         status.compiling(0.0, 0, 4, 2)
@@ -283,8 +283,8 @@ def test_the_status_names_the_stage_that_goes_on_meanwhile(capsys):
         status.progress("frames", 4, 8)
         status.compiling(1.0, 4, 4, 2)  # late: all is compiled
     assert capsys.readouterr().err.splitlines() == [
-        "compiling 4 kernels for this machine in 2 processes, once",
-        "terrain ...", "compiling 2/4", "frames ...", "compiling 4/4", "frames 4/8",
+        "compiling 4 kernels for this machine in 2 processes, once", "compiling 2/4",
+        "compiling 4/4",
     ]  # fmt: skip
     quiet = Status(quiet=True)
     quiet.compiling(0.0, 0, 4, 2)

@@ -190,13 +190,13 @@ def test_drawings_are_small_and_name_what_exists(path, from_code):
 
 
 def test_maps_show_the_code_as_it_is():
-    """After a change of rooms, passes or streams: `python docs/drawings.py`."""
+    """After a change of rooms or passes: `python docs/drawings.py`."""
     maps = module_of("drawings")
     for name, draw in maps.DRAWINGS.items():
         assert (maps.FOLDER / f"{name}.svg").read_text(encoding="utf-8") == draw(), (
             f"{name} is out of date: run `python docs/drawings.py`"
         )
-    assert len(maps.order()) > 25 and {"main", "aside", "beside"} < set(maps.launches().values())
+    assert len(maps.order()) > 25
 
 
 def test_the_version_stands_in_the_citation():
