@@ -16,7 +16,9 @@ LOUD = ("ASSUMED", "WARNING", "NOT TO BE BELIEVED")  # words of notes that are p
 READING = "scene"  # the stage before all others
 SHOWN = {READING: "reading", "simulate": "water"}  # stages whose time has another name
 BESIDE = "compiling beside"  # what goes on beside the stages
-SHORT = ("scale", "up, plane and scale", "ground:", "relight:", "sky:", "camera ", "drive:", "the path")
+SHORT = (
+    "scale", "up, plane and scale", "ground:", "relight:", "sky:", "camera ", "drive:", "the path",
+)  # fmt: skip
 QUARTERS = 4  # without a terminal compiling reports this often at least
 BEAT = 10.0  # s after which a stage reports again without a terminal
 TICK = 1.0  # s between looks at the clock
