@@ -1,5 +1,7 @@
 """The bench of what a user waits for has a row and a bar for each run."""
 
+import pytest
+
 from benchmarks import wait
 
 
@@ -18,5 +20,6 @@ def test_first_and_second_runs_have_rows_and_bars(monkeypatch, tmp_path):
     assert len(lines) == 3 and asked[0] == ("bicycle", ["NUMBA_CACHE_DIR", "RAINSIM_CACHE"])
     assert asked[1] == asked[2] == ("bicycle", ["RAINSIM_CACHE"])
     assert "| bicycle | second run | 5.0 | 8.0 | 900 | reading 1.0, light 4.0" in wait.table(result)
+    pytest.importorskip("matplotlib")
     wait.draw(result, tmp_path / "wait.png")
     assert (tmp_path / "wait.png").stat().st_size > 1000
