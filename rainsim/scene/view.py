@@ -21,8 +21,8 @@ from rainsim.jit import inlined_function
 class View(NamedTuple):
     """Where a picture was taken from, and through which lens.
 
-    On a device each number is an array of shape (1,): it changes between two replays of a recorded
-    queue. `view_from` reads them.
+    On a device each number is an array of shape (1,): all are sent in one copy. `view_from` reads
+    them.
 
     Kernels read a View only: numba drops writes through a bundle's arrays in parallel loops. A
     parallel kernel's module must import the bundle's class by its name (annotate the argument):
