@@ -40,11 +40,13 @@ class RainPass:
             self._spray = Spray() if conductor.cars else None
         self._streaks = self._splashes = self._impacts = self._drips = None
         self._listed_for = None  # the weather of `_impacts`
-        self._fog, self._fog_of = FrameUniforms({"fog": ((FOG_STEPS + 3,), np.float32)}), None
+        self._fog, self._fog_of = FrameUniforms({"fog": ((FOG_STEPS + 3,), np.float32)}), ()
         self._none = None  # a picture without rain
 
     def see(self, camera, camera_end, time, render, field):
         """Take over camera, shutter and rain of a picture; return its streaks, or None."""
+        if field is None and self._fog_of is not None:  # that of rain that has ended must go
+            self._send_fog(None, NO_FOG)
         if field is None and self._spray is None:
             return None
         if self._streaks is None or self._streaks.alpha.shape != (camera.height, camera.width):
@@ -59,7 +61,6 @@ class RainPass:
         lens = camera_end, render.aperture, render.focus
         if field is None:
             self._streaks.update(NO_RAIN, *shutter, NEAR, *lens)
-            self._send_fog(None, NO_FOG)
             return self._streaks
         times = render.exposure, render.reach_exposure
         key = field, camera.fx, camera.fy, *times, render.streak_far
@@ -77,8 +78,6 @@ class RainPass:
     def fall(self, streaks, depth, camera, camera_end, time, render, field, surfaces, drips, rolls):
         """Queue what `draw_falling` draws; return it as a device array, and the fog."""
         if streaks is None:
-            if self._fog_of is None:
-                self._send_fog((), NO_FOG)
             return self._nothing(depth.shape), self._fog["fog"]
         if self._heights is not None:
             self._heights.send(surfaces)

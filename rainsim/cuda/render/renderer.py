@@ -94,7 +94,7 @@ class Renderer:
         """Queue a frame and the copy of its picture; return it as `Drawn`."""
         conductor, own = self.conductor, timer or Timer()
         depth, moments = self.passes.tables.water_of(state)
-        conductor.roll(state.time, depth.copy_to_host() if conductor.cars else None)
+        conductor.roll(state.time, _host_depth(state) if conductor.cars else None)
         conductor.take(camera, state, camera_end)
         self.passes.tables.update()
         put, frame = conductor.frame.put, conductor.frame
@@ -117,6 +117,11 @@ class Renderer:
             times = [(number + n) / fps for n in range(1 + FRAMES_AHEAD)]
             conductor.look_ahead(times[1:], times[:1])
         return Drawn(picture, report, copied)
+
+
+def _host_depth(state):
+    """Return the depth of a state's water [m] on the host."""
+    return state.depth.copy_to_host() if hasattr(state, "moments") else state.depth
 
 
 def _drips_of(state):
