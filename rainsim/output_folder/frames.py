@@ -14,9 +14,9 @@ class FrameFolder:
     """Writes frames one by one as DIR/frames/NNNNN.png, with cameras, preview, video and record.
 
     Use as a context manager around the loop over frames: if the loop is interrupted, finished
-    frames are kept and recorded. Nothing in the folder changes before the first frame. A frame is
-    written in a thread of its own while the next one is drawn. A frame and its layers are noted in
-    the journal when they are whole.
+    frames are kept and recorded. Nothing in the folder changes before the first frame. Frames are
+    written while the next ones are drawn. A frame and its layers are noted in the journal when they
+    are whole.
 
     The folder is as `claimed` yields it. There is a camera for each frame of the whole sequence, or
     one for all. `resume` goes on with an unfinished run in the folder: `kept` has the journal's
@@ -33,25 +33,25 @@ class FrameFolder:
         self._stack, self._video = ExitStack(), None
         self._format = video
         self._writer = FrameWriter(folder, self._note)
-        self._has_begun, self.reports = False, []
+        self._has_begun, self.reports, self._handed = False, [], 0
 
     def __enter__(self):
         return self
 
     def add(self, picture, report):
-        """Begin to write the next frame, when the one before is written.
+        """Begin to write the next frame.
 
-        OSError if this frame's layers or the frame before could not be written.
+        OSError if this frame's layers or a frame before could not be written.
         """
-        self._writer.wait()
         self._begin()
         self._keep_until(report.index)
         self._writer.add(picture, report, self._show)
+        self._handed += 1
 
     @property
     def done(self):
         """Number of frames that were kept or handed over."""
-        return len(self.kept) + len(self.reports) + self._writer.is_writing
+        return len(self.kept) + self._handed
 
     def _show(self, picture):
         """Add a frame to preview and video."""
@@ -67,8 +67,12 @@ class FrameFolder:
 
     def _keep_until(self, end):
         """Take over the finished frames of an earlier run up to the frame `end`."""
-        for index in [index for index in sorted(self.kept) if index < end]:
+        indices = [index for index in sorted(self.kept) if index < end]
+        if indices:
+            self._writer.wait()  # preview and video take frames in order
+        for index in indices:
             entry = self.kept.pop(index)
+            self._handed += 1
             self._show(self._image.read_image(self.folder / FRAME.format(index)))
             self.record.add(JOURNAL, *entry["files"])
             self.reports.append(report_of(index, entry))

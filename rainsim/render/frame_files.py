@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -12,22 +14,25 @@ from rainsim.render.report import FrameReport
 
 FRAME = "frames/{:05d}.png"
 VERSION = 1  # of layers/NNNNN.json
+WRITERS = min(max((os.cpu_count() or 1) - 1, 1), 8)  # pictures encoded at a time
 
 
 class FrameWriter:
-    """Writes frames to a folder, each in a thread of its own while the next one is drawn.
+    """Writes frames to a folder, several at a time, while the next ones are drawn.
 
-    Use as a context manager: on the way out the frame that is being written is waited for.
+    Use as a context manager: on the way out the frames that are being written are waited for.
 
     folder : Path
-    noted : callable. noted(report, names) is called, in the caller's thread, when
-        all files of a frame are whole; names are relative to the folder, the
-        picture's first; the report has no layers any more.
+    noted : callable. noted(report, names) is called when all files of a frame are
+        whole, for one frame after another in a thread beside the caller's; names
+        are relative to the folder, the picture's first; the report has no layers
+        any more.
     """
 
     def __init__(self, folder, noted):
         self.folder, self._noted = folder, noted
-        self._writer, self._written = ThreadPoolExecutor(1), None  # the frame that is being written
+        self._writers, self._notes = ThreadPoolExecutor(WRITERS), ThreadPoolExecutor(1)
+        self._pending = deque()  # frames that are being written
 
     def __enter__(self):
         return self
@@ -36,44 +41,48 @@ class FrameWriter:
         try:
             self.wait()
         finally:
-            self._writer.shutdown()
-
-    @property
-    def is_writing(self):
-        """Whether a frame is being written."""
-        return self._written is not None
+            self._writers.shutdown()
+            self._notes.shutdown()
 
     def add(self, picture, report, also=None):
-        """Begin to write a frame, when the one before is written.
+        """Begin to write a frame, once fewer than WRITERS are being written.
 
         picture : uint8 array (height, width, 3)
         report : FrameReport
-        also : callable, optional. Called with the picture in the writing thread,
-            after it is written.
-        Raises OSError if this frame's layers or the frame before could not be
+        also : callable, optional. Called with the picture, in the order of the
+            frames, when it is written and before the frame is noted.
+        Raises OSError if this frame's layers or a frame before could not be
             written.
         """
-        self.wait()
+        self.wait(WRITERS - 1)
         (self.folder / "frames").mkdir(exist_ok=True)
         names = write_layers(self.folder, report) if report.aovs else ()
-        # A copy: on a GPU the next frame overwrites the picture.
-        written = self._writer.submit(self._write, picture.copy(), report.index, also)
-        self._written = written, names, replace(report, aovs={}, parts=None)
+        picture = picture.copy()  # on a GPU the next frame overwrites it
+        written = self._writers.submit(self._write, picture, report.index)
+        about = replace(report, aovs={}, parts=None)
+        self._pending.append(self._notes.submit(self._note, written, picture, about, names, also))
 
-    def wait(self):
-        """Wait for the frame that is being written."""
-        if self._written is not None:
-            (written, names, report), self._written = self._written, None
-            self._noted(report, (written.result(), *names))
+    def wait(self, most=0):
+        """Wait until at most so many frames are being written."""
+        try:
+            while len(self._pending) > most:
+                self._pending.popleft().result()
+        except BaseException:
+            self._pending.clear()  # the others are still noted if they can be written
+            raise
 
-    def _write(self, picture, index, also):
+    def _write(self, picture, index):
         from rainsim.io.images import write_png
 
         name = FRAME.format(index)
         write_png(self.folder / name, picture)
+        return name
+
+    def _note(self, written, picture, report, names, also):
+        name = written.result()
         if also is not None:
             also(picture)
-        return name
+        self._noted(report, (name, *names))
 
 
 def write_layers(folder, report):

@@ -16,6 +16,7 @@ from rainsim.errors import ParameterError
 from rainsim.io import images
 from rainsim.io.claim import ClaimedError, claim
 from rainsim.output_folder import CLAIM, PROVENANCE, FrameFolder, Record, claimed, read_record
+from rainsim.render import frame_files
 from rainsim.render.renderer import FrameReport
 from scenes import tiny_scene
 
@@ -206,8 +207,9 @@ def test_temporary_files_of_the_program_go_and_those_of_others_stay(tmp_path):
 
 
 @pytest.fixture
-def sequence(tmp_path):
+def sequence(tmp_path, monkeypatch):
     """A folder that takes three frames, and a function that draws one into the same array."""
+    monkeypatch.setattr(frame_files, "WRITERS", 3)
     config = Config().replace(frames=3)
     picture = np.zeros((6, 8, 3), np.uint8)
 
@@ -229,6 +231,24 @@ def test_frames_are_written_while_the_next_overwrites_the_picture(sequence):
     record = read_record(sequence.folder)
     assert record["complete"] and record["frames"] == [0, 1, 2] and record["ledger"] == {"rain": 2}
     assert (sequence.folder / "preview.webp").is_file()
+
+
+def test_a_slow_frame_is_noted_before_quick_ones_that_follow(sequence, monkeypatch):
+    write, rest = images.write_png, threading.Event()
+
+    def uneven(path, image):
+        if path.name == "00000.png":
+            assert rest.wait(30)  # until both others are on the disk
+        write(path, image)
+        if path.name == "00002.png":
+            rest.set()
+
+    monkeypatch.setattr(images, "write_png", uneven)
+    with sequence.film as film:
+        for index in range(3):
+            sequence.add(film, index)
+    assert read_record(sequence.folder)["frames"] == [0, 1, 2]
+    assert [report.index for report in film.reports] == [0, 1, 2]
 
 
 def test_frames_before_an_interruption_are_kept_and_recorded(sequence):
