@@ -21,6 +21,7 @@ else:
 
 
 _ALIGN = 16  # bytes
+_STAGED = 1 << 16  # bytes that are sent before the host waits, at least
 
 
 def aligned(count):
@@ -212,7 +213,7 @@ class Staging:
             cuda.synchronize()  # it may still be read
             self._used = 0
             if values.nbytes > len(self._bytes):
-                self._bytes = pinned(2 * values.nbytes, np.uint8)
+                self._bytes = pinned(max(2 * values.nbytes, _STAGED), np.uint8)
         staged = self._bytes[self._used : self._used + values.nbytes]
         staged = staged.view(values.dtype).reshape(values.shape)
         staged[...] = values

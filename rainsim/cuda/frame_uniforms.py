@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.cuda.driver import Event, aligned, copy_to_device
-from rainsim.cuda.jit import SIMULATED, cuda, pinned
+from rainsim.cuda.driver import Staging, aligned
+from rainsim.cuda.jit import SIMULATED, cuda
 
 
 class FrameUniforms:
@@ -21,8 +21,8 @@ class FrameUniforms:
             count = int(np.prod(shape)) * np.dtype(dtype).itemsize
             places[name] = size, size + count
             size += aligned(count)
-        self._pinned, self._set = pinned(size, np.uint8), np.zeros(size, np.uint8)
-        self._there, self._sent = None if SIMULATED else cuda.to_device(self._set), Event()
+        self._set, self._staging = np.zeros(size, np.uint8), Staging()
+        self._there = None if SIMULATED else cuda.to_device(self._set)
         for name, (shape, dtype) in arrays.items():
             first, end = places[name]
             self.host[name] = self._set[first:end].view(dtype).reshape(shape)
@@ -45,7 +45,4 @@ class FrameUniforms:
             for name, values in self.host.items():
                 self.device[name].copy_to_device(values)
             return
-        self._sent.synchronize()  # the last copy may still read the pinned memory
-        self._pinned[:] = self._set
-        copy_to_device(self._pinned, self._there)
-        self._sent.record()
+        self._staging.send(self._there, self._set)
