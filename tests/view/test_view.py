@@ -17,7 +17,7 @@ from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
 from rainsim.io.images import read_image
 from rainsim.pipeline import FrameSequence, render_rain
-from rainsim.render.shutter import shutter_end
+from rainsim.render.shutter import PathMotion
 from rainsim.scene.cameras import look_at, read_cameras, resize_to
 from rainsim.scene.folder import override_ground_frame, write_scene
 from rainsim.scene.library import load_scene
@@ -350,7 +350,7 @@ def path_frame(session, cameras, index):
     """One frame of a path as `rainsim run --path` draws it, with the session's parts."""
     config, frame = session.config, session.scene.ground_frame
     path, moment = [frame.camera_in_ground(camera) for camera in cameras], config.moment(index)
-    end = shutter_end(path, index, config.at(moment / config.fps).render.exposure, config.fps)
+    end = PathMotion(path, config.fps).end(index, config.at(moment / config.fps).render.exposure)
     session._follow()
     return session.renderer.draw(replace(cameras[index]), session.water.state(moment), end)[0]
 
