@@ -12,7 +12,16 @@ import math
 import numpy as np
 
 from rainsim.constants import FOUR, HALF, ONE, TWO, ZERO
-from rainsim.cuda import jit
+from rainsim.cuda.jit import (
+    FULL,
+    cuda,
+    cuda_device,
+    cuda_kernel,
+    fast_device,
+    fast_kernel,
+    load4,
+    store4,
+)
 from rainsim.cuda.splatting.project import FAINT, LENS, NEAR, RECORD, SPLAT_BITS, SPLAT_MASK
 from rainsim.splatting.blend import finish_pixel
 from rainsim.splatting.lanes import LAST_LIGHT, MAX_ALPHA, TRANSMITTANCE_STOP
@@ -28,7 +37,7 @@ SEVEN = np.float32(7)
 SMALL = np.float32(1e-4)
 
 
-@jit.cuda_device
+@cuda_device
 def write_pixel(
     x, y, width, height, now, orthographic, median, sums,
     color_out, alpha_out, depth_out, plane_out, normal_out,
@@ -52,7 +61,7 @@ def write_pixel(
     normal_out[3 * pixel], normal_out[3 * pixel + 1], normal_out[3 * pixel + 2] = n0, n1, n2
 
 
-@jit.fast_device
+@fast_device
 def square_is_met(u, v, a, b, c, level, left, right, top, bottom):
     """Return whether the splat reaches the rectangle of pixel centres.
 
@@ -75,13 +84,13 @@ def square_is_met(u, v, a, b, c, level, left, right, top, bottom):
     return level - least >= MIN_ALPHA_LOG2
 
 
-@jit.cuda_kernel
+@cuda_kernel
 def blend_pixel_by_pixel(
     value, begin, end, record, now, width, height, orthographic, median, drop_last,
     color_out, alpha_out, depth_out, plane_out, normal_out,
 ):  # fmt: skip
     """Blend each tile's list: the plain way, a thread a pixel."""
-    x, y = jit.cuda.grid(2)
+    x, y = cuda.grid(2)
     if x >= min(width, int(now[SIZE])) or y >= min(height, int(now[SIZE + 1])):
         return
     tile = y // TILE * ((width + TILE - 1) // TILE) + x // TILE
@@ -122,7 +131,7 @@ def blend_pixel_by_pixel(
     )  # fmt: skip
 
 
-@jit.fast_device
+@fast_device
 def add_splat(shared, o, px, py, median, drop_last, upper_sums, lower_sums):
     """Blend one staged splat into a lane's two pixels, four rows apart; return their sums.
 
@@ -130,10 +139,10 @@ def add_splat(shared, o, px, py, median, drop_last, upper_sums, lower_sums):
     """
     t0, r0, g0, b0, z0, x0, y0, w0, d0 = upper_sums
     t1, r1, g1, b1, z1, x1, y1, w1, d1 = lower_sums
-    u, v, a, b = jit.load4(shared, o)
-    c, level, red, green = jit.load4(shared, o + 4)
-    blue, z, n0, n1 = jit.load4(shared, o + 8)
-    n2, distance, _, _ = jit.load4(shared, o + 12)
+    u, v, a, b = load4(shared, o)
+    c, level, red, green = load4(shared, o + 4)
+    blue, z, n0, n1 = load4(shared, o + 8)
+    n2, distance, _, _ = load4(shared, o + 12)
     dx, dy = px - u, py - v
     dz = dy + FOUR
     along, slope = level - a * dx * dx, b * dx
@@ -167,7 +176,7 @@ def add_splat(shared, o, px, py, median, drop_last, upper_sums, lower_sums):
     )  # fmt: skip
 
 
-@jit.fast_device
+@fast_device
 def square_at(tile, quarter, across, inverse_across):
     """Return the first column and row [px] of the square that a warp owns."""
     row = np.int32((np.float32(tile) + HALF) * inverse_across)
@@ -177,31 +186,31 @@ def square_at(tile, quarter, across, inverse_across):
     return x, y
 
 
-@jit.fast_device
+@fast_device
 def no_sums(inside):
     """Return the sums of a pixel before any splat; one beside the picture lets nothing through."""
     clear = ONE if inside else ZERO
     return clear, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
 
 
-@jit.fast_device
+@fast_device
 def stage(shared, o, record, place, first, second):
     """Copy a splat's record to shared memory; its first eight numbers have been read."""
-    blue, z, n0, n1 = jit.load4(record, np.int64(place) + 8)
-    n2, distance, _, _ = jit.load4(record, np.int64(place) + 12)
-    jit.store4(shared, o, first[0], first[1], first[2], first[3])
-    jit.store4(shared, o + 4, second[0], second[1], second[2], second[3])
-    jit.store4(shared, o + 8, blue, z, n0, n1)
-    jit.store4(shared, o + 12, n2, distance, ZERO, ZERO)
+    blue, z, n0, n1 = load4(record, np.int64(place) + 8)
+    n2, distance, _, _ = load4(record, np.int64(place) + 12)
+    store4(shared, o, first[0], first[1], first[2], first[3])
+    store4(shared, o + 4, second[0], second[1], second[2], second[3])
+    store4(shared, o + 8, blue, z, n0, n1)
+    store4(shared, o + 12, n2, distance, ZERO, ZERO)
 
 
-@jit.fast_device
+@fast_device
 def stage_nothing(shared, o):
     """Write a splat to shared memory that no pixel shows."""
-    jit.store4(shared, o, ZERO, ZERO, ZERO, ZERO)
-    jit.store4(shared, o + 4, ZERO, FAINT, ZERO, ZERO)
-    jit.store4(shared, o + 8, ZERO, ZERO, ZERO, ZERO)
-    jit.store4(shared, o + 12, ZERO, ZERO, ZERO, ZERO)
+    store4(shared, o, ZERO, ZERO, ZERO, ZERO)
+    store4(shared, o + 4, ZERO, FAINT, ZERO, ZERO)
+    store4(shared, o + 8, ZERO, ZERO, ZERO, ZERO)
+    store4(shared, o + 12, ZERO, ZERO, ZERO, ZERO)
 
 
 def _blend_squares(median, drop_last):
@@ -210,17 +219,17 @@ def _blend_squares(median, drop_last):
     Its warps keep the sums of two pixels a lane in registers over a tile's whole list.
     """
 
-    @jit.fast_kernel
+    @fast_kernel
     def blend_squares(
         value, begin, end, record, now, width, height, orthographic, across, inverse_across,
         color_out, alpha_out, depth_out, plane_out, normal_out,
     ):  # fmt: skip
         """Blend each tile's list; a warp owns a quarter of a tile."""
-        shared = jit.cuda.shared.array(SHARED, np.float32, 16)
-        tid = np.int32(jit.cuda.threadIdx.x)
+        shared = cuda.shared.array(SHARED, np.float32, 16)
+        tid = np.int32(cuda.threadIdx.x)
         lane, quarter = np.int32(tid & 31), np.int32(tid >> 5)
         staged = np.int32(quarter * ((32 + 1) * RECORD))
-        tile = np.int32(jit.cuda.blockIdx.x)
+        tile = np.int32(cuda.blockIdx.x)
         sx, sy = square_at(tile, quarter, across, inverse_across)
         x, y = np.int32(sx + np.int32(lane & 7)), np.int32(sy + np.int32(lane >> 3))
         px, py = np.float32(x) + HALF, np.float32(y) + HALF
@@ -240,28 +249,28 @@ def _blend_squares(median, drop_last):
         place = np.int32(RECORD * np.int32(entry & mask))
         u, v, a, b, c, level, red, green = ZERO, ZERO, ZERO, ZERO, ONE, ZERO, ZERO, ZERO
         if reached:
-            u, v, a, b = jit.load4(record, np.int64(place))
-            c, level, red, green = jit.load4(record, np.int64(place) + 4)
+            u, v, a, b = load4(record, np.int64(place))
+            c, level, red, green = load4(record, np.int64(place) + 4)
         following = value[at + 32 + lane] if at + 32 + lane < stop else np.uint32(0)
         while at < stop:
             hit = reached
             if hit:
                 hit = square_is_met(u, v, a, b, c, level, left, right, top, bottom)
-            hits = jit.cuda.ballot_sync(jit.FULL, hit)
-            count = np.int32(jit.cuda.popc(hits))
+            hits = cuda.ballot_sync(FULL, hit)
+            count = np.int32(cuda.popc(hits))
             if hit:
-                o = np.int32(staged + np.int32(jit.cuda.popc(hits & lower_lanes)) * RECORD)
+                o = np.int32(staged + np.int32(cuda.popc(hits & lower_lanes)) * RECORD)
                 stage(shared, o, record, place, (u, v, a, b), (c, level, red, green))
             if lane < (count & 1):
                 stage_nothing(shared, np.int32(staged + count * RECORD))
-            jit.cuda.syncwarp()
+            cuda.syncwarp()
             at = np.int32(at + 32)
             entry = following
             reached = entry & bit != 0
             place = np.int32(RECORD * np.int32(entry & mask))
             if reached:
-                u, v, a, b = jit.load4(record, np.int64(place))
-                c, level, red, green = jit.load4(record, np.int64(place) + 4)
+                u, v, a, b = load4(record, np.int64(place))
+                c, level, red, green = load4(record, np.int64(place) + 4)
             following = value[at + 32 + lane] if at + 32 + lane < stop else np.uint32(0)
             o = staged
             last = np.int32(staged + count * RECORD)
@@ -271,9 +280,9 @@ def _blend_squares(median, drop_last):
                     shared, o + RECORD, px, py, median, drop_last, upper, lower
                 )
                 o = np.int32(o + 2 * RECORD)
-            if not jit.cuda.any_sync(jit.FULL, upper[0] > SMALL or lower[0] > SMALL):
+            if not cuda.any_sync(FULL, upper[0] > SMALL or lower[0] > SMALL):
                 break
-            jit.cuda.syncwarp()
+            cuda.syncwarp()
         write_pixel(
             x, y, width, height, now, orthographic, median, upper,
             color_out, alpha_out, depth_out, plane_out, normal_out,

@@ -14,7 +14,19 @@ import math
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.cuda import jit
+from rainsim.cuda.jit import (
+    FULL,
+    SIMULATED,
+    cuda,
+    cuda_device,
+    cuda_kernel,
+    fast_device,
+    fast_kernel,
+    float_bits,
+    load4,
+    load_halves,
+    store4,
+)
 from rainsim.splatting import project
 from rainsim.splatting.level_choice import is_drawn
 from rainsim.splatting.prepared import LANES, OPACITY
@@ -39,7 +51,7 @@ COUNTS = WARPS + 1
 VIEW, EYE, LENS, PLANE, NEAR, LIMITS, SCALE, REST, CAMERA = 0, 12, 16, 20, 24, 28, 32, 40, 44
 
 
-@jit.cuda_kernel
+@cuda_kernel
 def start(
     chunks, box, span, around, view, lens, size, near, plane, orthographic, seen_out, begin_out,
     end_out, total_out,
@@ -57,7 +69,7 @@ def start(
     begin_out, end_out : int32 device array (tiles,)
     total_out : int32 device array (1,)
     """
-    i = jit.cuda.grid(1)
+    i = cuda.grid(1)
     if i == 0:
         total_out[0] = 0
     if i < begin_out.size:
@@ -68,7 +80,7 @@ def start(
         seen_out[i] = drawn and not project.chunk_is_out(box[i], frustum)
 
 
-@jit.fast_device
+@fast_device
 def splat_color(sh, chunk, lane, groups, bands, x, y, z):
     """Return a splat's colour seen along (x, y, z).
 
@@ -76,26 +88,26 @@ def splat_color(sh, chunk, lane, groups, bands, x, y, z):
     """
     at = 8 * (chunk * (groups * LANES) + lane)
     step = 8 * LANES
-    r0, g0, b0, r1, g1, b1, r2, g2 = jit.load_halves(sh, at)
+    r0, g0, b0, r1, g1, b1, r2, g2 = load_halves(sh, at)
     red, green, blue = (
         project.color_constant(r0),
         project.color_constant(g0),
         project.color_constant(b0),
     )
     if bands > 1:
-        b2, r3, g3, b3, r4, g4, b4, r5 = jit.load_halves(sh, at + step)
+        b2, r3, g3, b3, r4, g4, b4, r5 = load_halves(sh, at + step)
         red += project.color_degree_1(x, y, z, r1, r2, r3)
         green += project.color_degree_1(x, y, z, g1, g2, g3)
         blue += project.color_degree_1(x, y, z, b1, b2, b3)
         if bands > 2:
-            g5, b5, r6, g6, b6, r7, g7, b7 = jit.load_halves(sh, at + 2 * step)
-            r8, g8, b8, r9, g9, b9, r10, g10 = jit.load_halves(sh, at + 3 * step)
+            g5, b5, r6, g6, b6, r7, g7, b7 = load_halves(sh, at + 2 * step)
+            r8, g8, b8, r9, g9, b9, r10, g10 = load_halves(sh, at + 3 * step)
             red += project.color_degree_2(x, y, z, r4, r5, r6, r7, r8)
             green += project.color_degree_2(x, y, z, g4, g5, g6, g7, g8)
             blue += project.color_degree_2(x, y, z, b4, b5, b6, b7, b8)
             if bands > 3:
-                b10, r11, g11, b11, r12, g12, b12, r13 = jit.load_halves(sh, at + 4 * step)
-                g13, b13, r14, g14, b14, r15, g15, b15 = jit.load_halves(sh, at + 5 * step)
+                b10, r11, g11, b11, r12, g12, b12, r13 = load_halves(sh, at + 4 * step)
+                g13, b13, r14, g14, b14, r15, g15, b15 = load_halves(sh, at + 5 * step)
                 red += project.color_degree_3(x, y, z, r9, r10, r11, r12, r13, r14, r15)
                 green += project.color_degree_3(x, y, z, g9, g10, g11, g12, g13, g14, g15)
                 blue += project.color_degree_3(x, y, z, b9, b10, b11, b12, b13, b14, b15)
@@ -111,7 +123,7 @@ def in_groups(sh):
     return np.ascontiguousarray(rows.reshape(chunks, groups, 8, LANES).transpose(0, 1, 3, 2))
 
 
-@jit.fast_device
+@fast_device
 def depth_level(z, now):
     """Return which level of depth z is in: increasing, dense where most of the scene lies.
 
@@ -119,7 +131,7 @@ def depth_level(z, now):
     takes no octaves; beyond the scene's usual reach a smaller share of the levels is left.
     """
     offset, first, reach = now[SCALE], now[SCALE + 1], now[SCALE + 2]
-    k = np.float32(jit.float_bits(z + offset) - jit.float_bits(first))
+    k = np.float32(float_bits(z + offset) - float_bits(first))
     dense = min(k, reach)
     return np.int32(dense * now[SCALE + 3] + (k - dense) * now[SCALE + 4])
 
@@ -134,7 +146,7 @@ def depth_scale(near, far, levels):
     return offset, first, reach, (1 - FAR_SHARE) * levels / reach, beyond
 
 
-@jit.fast_device
+@fast_device
 def record_splat(
     geometry, sh, chunk, lane, now, orthographic, compensate, bands, groups, low, record_out
 ):  # fmt: skip
@@ -145,18 +157,18 @@ def record_splat(
     g = chunk * (NUMBERS * LANES) + lane
     px, py, pz = geometry[g], geometry[g + LANES], geometry[g + 2 * LANES]
     level = geometry[g + OPACITY * LANES]
-    v20, v21, v22, v23 = jit.load4(now, VIEW + 8)
-    p0, p1, p2, p3 = jit.load4(now, PLANE)
-    near, width, height, _ = jit.load4(now, NEAR)
+    v20, v21, v22, v23 = load4(now, VIEW + 8)
+    p0, p1, p2, p3 = load4(now, PLANE)
+    near, width, height, _ = load4(now, NEAR)
     ahead = v20 * px + v21 * py + v22 * pz + v23 >= near
     above = p0 * px + p1 * py + p2 * pz >= p3
     none = np.int32(0)
     if not (ahead and above and level > project.MIN_ALPHA_LOG2):
         return False, none, none, none, none, none
-    v00, v01, v02, v03 = jit.load4(now, VIEW)
-    v10, v11, v12, v13 = jit.load4(now, VIEW + 4)
-    fx, fy, cx, cy = jit.load4(now, LENS)
-    x_low, x_high, y_low, y_high = jit.load4(now, LIMITS)
+    v00, v01, v02, v03 = load4(now, VIEW)
+    v10, v11, v12, v13 = load4(now, VIEW + 4)
+    fx, fy, cx, cy = load4(now, LENS)
+    x_low, x_high, y_low, y_high = load4(now, LIMITS)
     pose = project.Pose(v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23)
     lens = project.Lens(fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic)
     covariance = (
@@ -178,7 +190,7 @@ def record_splat(
     right, last = np.float32(math.floor(right)), np.float32(math.floor(last))
     if not (level > project.MIN_ALPHA_LOG2 and right >= left and last >= first):
         return False, none, none, none, none, none
-    ax, ay, az, _ = jit.load4(now, EYE)
+    ax, ay, az, _ = load4(now, EYE)
     dx = ax if orthographic else px - ax
     dy = ay if orthographic else py - ay
     dz = az if orthographic else pz - az
@@ -190,22 +202,22 @@ def record_splat(
     n0, n1, n2, distance = project.facing_normal(normal, (x, y, z), pose, orthographic)
     at = RECORD * (chunk * LANES + lane)
     # The conic in whole log2: alpha = 2^(level - a dx^2 - b dx dy - c dy^2).
-    jit.store4(record_out, at, u, v, EIGHT * a, EIGHT * b)
-    jit.store4(record_out, at + 4, EIGHT * c, level, red, green)
+    store4(record_out, at, u, v, EIGHT * a, EIGHT * b)
+    store4(record_out, at + 4, EIGHT * c, level, red, green)
     # Depth to more digits than a float32 has decides the order: what was rounded away is kept.
-    l0, l1, l2, l3 = jit.load4(now, REST)
+    l0, l1, l2, l3 = load4(now, REST)
     exact = (WIDE(v20) + WIDE(l0)) * WIDE(px) + (WIDE(v21) + WIDE(l1)) * WIDE(py)
     exact += (WIDE(v22) + WIDE(l2)) * WIDE(pz) + (WIDE(v23) + WIDE(l3))
     z = np.float32(exact)
-    jit.store4(record_out, at + 8, blue, z, n0, n1)
-    jit.store4(record_out, at + 12, n2, distance, np.float32(exact - WIDE(z)), ZERO)
+    store4(record_out, at + 8, blue, z, n0, n1)
+    store4(record_out, at + 12, n2, distance, np.float32(exact - WIDE(z)), ZERO)
     return (
         True, min(max(depth_level(z, now), none), low),
         np.int32(left) >> 3, np.int32(right) >> 3, np.int32(first) >> 3, np.int32(last) >> 3,
     )  # fmt: skip
 
 
-@jit.cuda_device
+@cuda_device
 def quarters(x, y, left, right, first, last):
     """Return which quarters of tile (x, y) the box meets, one bit each, rows first."""
     bits = np.int32(0)
@@ -221,13 +233,13 @@ def quarters(x, y, left, right, first, last):
     return np.int32(bits)
 
 
-@jit.cuda_kernel
+@cuda_kernel
 def list_splat_by_splat(
     geometry, sh, seen, now, orthographic, compensate, bands, groups, across, levels,
     record_out, key_out, value_out, total,
 ):  # fmt: skip
     """Project the splats of the seen chunks and list them: the plain way, a thread a splat."""
-    i = jit.cuda.grid(1)
+    i = cuda.grid(1)
     chunk, lane = i // LANES, i % LANES
     if chunk >= seen.size or not seen[chunk]:
         return
@@ -238,7 +250,7 @@ def list_splat_by_splat(
     if not visible:
         return
     count = ((right >> 1) - (left >> 1) + 1) * ((last >> 1) - (first >> 1) + 1)
-    place = jit.cuda.atomic.add(total, 0, count)
+    place = cuda.atomic.add(total, 0, count)
     for y in range(first >> 1, (last >> 1) + 1):
         for x in range(left >> 1, (right >> 1) + 1):
             if place < key_out.size:
@@ -248,18 +260,18 @@ def list_splat_by_splat(
             place += 1
 
 
-@jit.fast_kernel
+@fast_kernel
 def list_splats(
     geometry, sh, seen, now, orthographic, compensate, bands, groups, across, levels,
     record_out, key_out, value_out, total,
 ):  # fmt: skip
     """Project the splats of the seen chunks and list them; a block of 256 threads takes a chunk."""
-    chunk = np.int32(jit.cuda.blockIdx.x)
+    chunk = np.int32(cuda.blockIdx.x)
     if not seen[chunk]:
         return
-    tid = np.int32(jit.cuda.threadIdx.x)
+    tid = np.int32(cuda.threadIdx.x)
     lane, warp = np.int32(tid & 31), np.int32(tid >> 5)
-    counts = jit.cuda.shared.array(COUNTS, np.int32)
+    counts = cuda.shared.array(COUNTS, np.int32)
     visible, level, left, right, first, last = record_splat(
         geometry, sh, chunk, tid, now, orthographic, compensate, bands, groups,
         np.int32(levels - 1), record_out,
@@ -271,22 +283,22 @@ def list_splats(
     # Inclusive sums within the warp, then the block's place in the lists.
     inclusive = count
     for k in range(5):
-        before = jit.cuda.shfl_up_sync(jit.FULL, inclusive, 1 << k)
+        before = cuda.shfl_up_sync(FULL, inclusive, 1 << k)
         if lane >= 1 << k:
             inclusive = np.int32(inclusive + before)
     if lane == 31:
         counts[warp] = inclusive
-    jit.cuda.syncthreads()
+    cuda.syncthreads()
     if tid == 0:
         whole = np.int32(0)
         for k in range(WARPS):
             mine = counts[k]
             counts[k] = whole
             whole = np.int32(whole + mine)
-        counts[WARPS] = jit.cuda.atomic.add(total, 0, whole) if whole > 0 else np.int32(0)
-    jit.cuda.syncthreads()
+        counts[WARPS] = cuda.atomic.add(total, 0, whole) if whole > 0 else np.int32(0)
+    cuda.syncthreads()
     base = np.int32(counts[WARPS] + counts[warp])
-    entries = jit.cuda.shfl_sync(jit.FULL, inclusive, 31)
+    entries = cuda.shfl_sync(FULL, inclusive, 31)
     exclusive = np.int32(inclusive - count)
     across_box = np.int32(left | right << 16)
     down_box = np.int32(first | last << 16)
@@ -297,12 +309,12 @@ def list_splats(
         owner = np.int32(0)  # the lane whose splat entry j belongs to, by bisection
         for k in range(5):
             half = np.int32(16 >> k)
-            if jit.cuda.shfl_sync(jit.FULL, inclusive, np.int32(owner + half - 1)) <= j:
+            if cuda.shfl_sync(FULL, inclusive, np.int32(owner + half - 1)) <= j:
                 owner = np.int32(owner + half)
-        within = np.int32(j - jit.cuda.shfl_sync(jit.FULL, exclusive, owner))
-        columns = jit.cuda.shfl_sync(jit.FULL, across_box, owner)
-        rows = jit.cuda.shfl_sync(jit.FULL, down_box, owner)
-        mine = jit.cuda.shfl_sync(jit.FULL, level, owner)
+        within = np.int32(j - cuda.shfl_sync(FULL, exclusive, owner))
+        columns = cuda.shfl_sync(FULL, across_box, owner)
+        rows = cuda.shfl_sync(FULL, down_box, owner)
+        mine = cuda.shfl_sync(FULL, level, owner)
         place = np.int32(base + j)
         if j < entries and place < capacity:
             l8, r8 = np.int32(columns & 0xFFFF), np.int32(columns >> 16)
@@ -319,14 +331,14 @@ def list_splats(
             )
 
 
-@jit.cuda_device
+@cuda_device
 def comes_before(splat, other, rank):
     """Return whether a splat is taken before another one of the same depth."""
     here, there = rank[splat // LANES], rank[other // LANES]
     return here < there or (here == there and splat < other)
 
 
-@jit.cuda_kernel
+@cuda_kernel
 def find_ranges(n, levels, key, value, record, rank, begin_out, end_out, value_out):
     """Find where each tile's entries lie, and put entries of one key in order.
 
@@ -335,7 +347,7 @@ def find_ranges(n, levels, key, value, record, rank, begin_out, end_out, value_o
     written. Each entry counts those that come before it: a wall that faces the camera has hundreds
     of one key in a tile.
     """
-    i = jit.cuda.grid(1)
+    i = cuda.grid(1)
     if i >= n:
         return
     mine = key[i]
@@ -363,18 +375,18 @@ def find_ranges(n, levels, key, value, record, rank, begin_out, end_out, value_o
     value_out[place] = entry
 
 
-@jit.cuda_kernel
+@cuda_kernel
 def number_records(places, divisor, base, record):
     """Replace the depths of records by a digit of their numbers, plus 1.
 
     The entries must be sorted. A picture of the median depth then shows which record stops half of
     the light. A digit is the number over the `divisor`, modulo the `base`, at most 2^24: exact.
     """
-    i = jit.cuda.grid(1)
+    i = cuda.grid(1)
     if i < places:
         record[RECORD * i + 9] = np.float32(i // divisor % base + 1)
 
 
 def list_kernel(plain):
     """Return the kernel that lists splats, and whether it takes a block a chunk."""
-    return list_splat_by_splat if plain or jit.SIMULATED else list_splats
+    return list_splat_by_splat if plain or SIMULATED else list_splats
