@@ -210,21 +210,6 @@ def ground(scene):
     return pipeline.extract_terrain(scene, CONFIG)
 
 
-def test_the_same_frame_alone_and_in_sequence(scene, ground, threads):
-    camera = scene.cameras[0].resized(160, 120)
-    frames = pipeline.FrameSequence(scene, ground, [camera], CONFIG, layers=("rain_alpha",))
-    (_, kept), (picture, report) = (
-        (p.copy(), r.aovs["rain_alpha"].copy()) if r.index == 0 else (p.copy(), r)
-        for p, r in frames.frames([0, 7])
-    )
-    threads(1)
-    alone = pipeline.FrameSequence(scene, ground, [camera], CONFIG, layers=("rain_alpha",))
-    ((again, same),) = alone.frames([7])
-    np.testing.assert_array_equal(again, picture)
-    np.testing.assert_array_equal(same.aovs["rain_alpha"], report.aovs["rain_alpha"])
-    assert (kept != same.aovs["rain_alpha"]).any()
-
-
 def test_spray_and_tracks_show_and_go_with_the_setting(scene, ground):
     camera, shown, maps = scene.cameras[0].resized(160, 120), {}, {}
     state = next(pipeline.simulate(ground, CONFIG)).shown_at(0.5)
