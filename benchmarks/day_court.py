@@ -8,16 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks import day_garden
 from benchmarks.day_case import Case, Rain, Sun, aimed
-from benchmarks.day_garden import (
-    add_hedge,
-    add_lawn,
-    add_tree,
-    paint_lawn,
-    paint_top,
-    plank_albedo,
-    render_albedo,
-)
 from benchmarks.day_ground import add_paving, paved
 from benchmarks.day_shapes import Shapes
 
@@ -37,13 +29,13 @@ def build():
     shapes = Shapes()
     paving = paved(LOW, HIGH, DIPS, closed=("east",), rain=0.003, seed=1)
     rng = add_paving(shapes, paving)
-    add_lawn(shapes, rng, GARDEN_LOW, (LOW[0], GARDEN_HIGH[1]), 0.035)
-    add_lawn(shapes, rng, (LOW[0], GARDEN_LOW[1]), (GARDEN_HIGH[0], LOW[1]), 0.03)
-    add_lawn(shapes, rng, (LOW[0], HIGH[1]), GARDEN_HIGH, 0.03)
-    paint_lawn(shapes, GARDEN_LOW, GARDEN_HIGH)
+    day_garden.add_lawn(shapes, rng, GARDEN_LOW, (LOW[0], GARDEN_HIGH[1]), 0.035)
+    day_garden.add_lawn(shapes, rng, (LOW[0], GARDEN_LOW[1]), (GARDEN_HIGH[0], LOW[1]), 0.03)
+    day_garden.add_lawn(shapes, rng, (LOW[0], HIGH[1]), GARDEN_HIGH, 0.03)
+    day_garden.paint_lawn(shapes, GARDEN_LOW, GARDEN_HIGH)
     south, north = GARDEN_LOW[1], GARDEN_HIGH[1]
     up, along = (0, 0, WALL + 0.05), (0, north - south, 0)
-    shapes.rectangle("wall", (HIGH[0], south, -0.05), up, along, render_albedo, 0.03)
+    shapes.rectangle("wall", (HIGH[0], south, -0.05), up, along, day_garden.render_albedo, 0.03)
     # The wall is thick: its back and top keep the sun from shining through.
     back = (HIGH[0] + 0.3, south, -0.05)
     shapes.rectangle("wall", back, along, up, (0.6, 0.55, 0.45), 0.1)
@@ -57,17 +49,17 @@ def build():
         ((west, south - 0.6), (east + 0.3, south)),
         ((west, north), (east + 0.3, north + 0.6)),
     ):
-        add_hedge(shapes, rng, low, high, HEDGE, CLIPPED)
-    add_tree(shapes, rng, TREE, TRUNK, CROWN, CROWN_HALF, LEAVES)
+        day_garden.add_hedge(shapes, rng, low, high, HEDGE, CLIPPED)
+    day_garden.add_tree(shapes, rng, TREE, TRUNK, CROWN, CROWN_HALF, LEAVES)
     return shapes, paving
 
 
 def _add_bench(shapes):
     """Add a bench: a seat of planks on two blocks."""
     (x0, y0), (x1, y1) = BENCH
-    paint_top(shapes, "tabletop", *BENCH)
+    day_garden.paint_top(shapes, "tabletop", *BENCH)
     corner, u, v = (x0, y0, SEAT), (x1 - x0, 0, 0), (0, y1 - y0, 0)
-    shapes.rectangle("tabletop", corner, u, v, plank_albedo, 0.011)
+    shapes.rectangle("tabletop", corner, u, v, day_garden.plank_albedo, 0.011)
     dark = (0.25, 0.16, 0.09)
     low, wide, deep, thin = SEAT - 0.04, (x1 - x0, 0, 0), (0, y1 - y0, 0), (0, 0, 0.04)
     for corner, u, v in (

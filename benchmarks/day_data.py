@@ -14,7 +14,7 @@ import numpy as np
 
 from rainsim.errors import InputError
 
-FOLDER = Path(__file__).parents[1] / "tests/bench/day_data"  # 15 MB
+FOLDER = Path(__file__).parent / "tests/day_data"  # 15 MB
 HALF = 2  # the traced pictures have the size of a frame over this
 ROOT_STEP = 1 / 1023  # of the root of radiance, in which traced pictures are kept
 REGIONS = ("sky", "paving", "puddle", "rim", "lawn", "wall", "tabletop", "leaf", "core", "box",

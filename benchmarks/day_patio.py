@@ -7,15 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks import day_garden
 from benchmarks.day_case import Case, Rain, Sun, aimed
-from benchmarks.day_garden import (
-    add_hedge,
-    add_lawn,
-    paint_top,
-    paint_wall,
-    plank_albedo,
-    render_albedo,
-)
 from benchmarks.day_ground import add_paving, paved
 from benchmarks.day_shapes import Shapes
 
@@ -34,9 +27,9 @@ def build():
     shapes = Shapes()
     paving = paved(LOW, HIGH, DIPS, closed=("east",))
     rng = add_paving(shapes, paving)
-    add_lawn(shapes, rng, GARDEN_LOW, (LOW[0], GARDEN_HIGH[1]), 0.035)
-    add_lawn(shapes, rng, (LOW[0], GARDEN_LOW[1]), (GARDEN_HIGH[0], LOW[1]), 0.03)
-    add_lawn(shapes, rng, (LOW[0], HIGH[1]), GARDEN_HIGH, 0.03)
+    day_garden.add_lawn(shapes, rng, GARDEN_LOW, (LOW[0], GARDEN_HIGH[1]), 0.035)
+    day_garden.add_lawn(shapes, rng, (LOW[0], GARDEN_LOW[1]), (GARDEN_HIGH[0], LOW[1]), 0.03)
+    day_garden.add_lawn(shapes, rng, (LOW[0], HIGH[1]), GARDEN_HIGH, 0.03)
     shapes.rectangle("kerb", (*LOW, -0.05), (0, HIGH[1] - LOW[1], 0), (0, 0, 0.05), 0.25, 0.02)
     _add_house(shapes)
     _add_table(shapes)
@@ -50,7 +43,7 @@ def build():
         ((west, south - 0.6), (east + 0.5, south), 20000),
         ((west, north), (east + 0.5, north + 0.6), 20000),
     ):
-        add_hedge(shapes, rng, low, high, HEDGE, count)
+        day_garden.add_hedge(shapes, rng, low, high, HEDGE, count)
     return shapes, paving
 
 
@@ -63,8 +56,8 @@ def _add_house(shapes):
         (-half, half, -0.05, sill), (-half, half, head, WALL),
     ):  # fmt: skip
         up, along = (0, 0, z1 - z0), (0, y1 - y0, 0)
-        shapes.rectangle("wall", (x, y0, z0), up, along, render_albedo, 0.03)
-    paint_wall(shapes, x, (south, -0.05), (north, WALL))
+        shapes.rectangle("wall", (x, y0, z0), up, along, day_garden.render_albedo, 0.03)
+    day_garden.paint_wall(shapes, x, (south, -0.05), (north, WALL))
     deep, wide, high = 0.08, (0, 2 * half, 0), (0, 0, head - sill)
     shapes.rectangle("glass", (x + deep, -half, sill), high, wide, (0.02, 0.022, 0.025), 0.02)
     inward = (deep, 0, 0)
@@ -80,8 +73,8 @@ def _add_table(shapes):
     """Add a round table on a post."""
     r, top = TABLE_RADIUS, TABLE_HEIGHT
     low, high = (tuple(c + side * r for c in TABLE) for side in (-1, 1))
-    paint_top(shapes, "tabletop", low, high)
-    shapes.disk("tabletop", TABLE, r, top, 1, plank_albedo, 0.011)
+    day_garden.paint_top(shapes, "tabletop", low, high)
+    shapes.disk("tabletop", TABLE, r, top, 1, day_garden.plank_albedo, 0.011)
     shapes.disk("table", TABLE, r, top - 0.03, -1, DARK_WOOD, 0.03)
     shapes.tube("table", TABLE, r, top - 0.03, top, DARK_WOOD, 0.01)
     shapes.tube("table", TABLE, 0.05, 0.0, top - 0.03, POST_WOOD, 0.012)

@@ -11,19 +11,9 @@ import time
 
 import numpy as np
 
-from benchmarks import frame_cuda, frame_gsplat, frame_levels
+from benchmarks import frame_cuda, frame_gsplat, frame_levels, suite
 from benchmarks.chart import draw_fronts
 from benchmarks.frame_levels import TRUTH_SCALE, TRUTH_WIDTH
-from benchmarks.suite import (
-    SCENES,
-    decibels,
-    load_line,
-    machine,
-    markdown,
-    peak,
-    quiet,
-    scene_names,
-)
 from benchmarks.traced import trace_reflections
 from rainsim import pipeline
 from rainsim.backend import on_backend
@@ -38,7 +28,7 @@ FRAMES = {False: 2, True: 1}  # compared with the truth
 EXTENT = {False: None, True: 3.0}  # m
 
 
-def run(quick=False, say=quiet, backend="cpu"):
+def run(quick=False, say=suite.quiet, backend="cpu"):
     """Run the whole bench on a backend, see `benchmarks.suite` and `benchmarks.frame_cuda`.
 
     The result has "machine" and "rows": scene, size, motion, level, milliseconds by stage, their
@@ -47,7 +37,7 @@ def run(quick=False, say=quiet, backend="cpu"):
     """
     on_backend(backend)  # before anything is drawn
     rows = []
-    for name in scene_names(quick):
+    for name in suite.scene_names(quick):
         scene = load_scene(name)
         if backend == "cuda":
             for width in frame_cuda.WIDTHS[quick]:
@@ -61,7 +51,7 @@ def run(quick=False, say=quiet, backend="cpu"):
                     rows.append(row)
                     say(_line(row))
     result = {
-        "machine": machine(peak_mib=peak() / 2**20), "quick": quick, "backend": backend,
+        "machine": suite.machine(peak_mib=suite.peak() / 2**20), "quick": quick, "backend": backend,
         "rows": rows,
     }  # fmt: skip
     if backend == "cuda":
@@ -151,7 +141,7 @@ def _line(row):
 
 
 def _decibel(rmse):
-    return "-" if rmse is None else f"{decibels(rmse**2, 1e-18):.1f}"
+    return "-" if rmse is None else f"{suite.decibels(rmse**2, 1e-18):.1f}"
 
 
 def table(result):
@@ -171,7 +161,7 @@ def table(result):
     for name, title in (("sequence_ms", "frame of a sequence"), ("memory_mib", "MiB of memory")):
         if any(row.get(name) is not None for row in own):
             cells.append((title, *(_milliseconds(row.get(name)) for row in own)))
-    lines = markdown(("ms", *heads), cells)
+    lines = suite.markdown(("ms", *heads), cells)
     measured = [row for row in rows if row["rmse"] is not None]
     heads = dict.fromkeys(
         f"{r['scene']} {r['width']} x {r['height']} {r['motion']}" for r in measured
@@ -181,8 +171,8 @@ def table(result):
         text = f"{_milliseconds(row['milliseconds']['frame'])} / {_decibel(row['rmse'])}"
         levels.setdefault(row["level"], [row["level"]]).append(text)
     memory, gpu = result["machine"]["peak_mib"], result["machine"].get("gpu")
-    last = f"{load_line(result)}, peak {memory:.0f} MiB"
-    lines += ["", *markdown(("ms / dB", *heads), levels.values())]
+    last = f"{suite.load_line(result)}, peak {memory:.0f} MiB"
+    lines += ["", *suite.markdown(("ms / dB", *heads), levels.values())]
     lines += ["", last + (f", {gpu}" if gpu else "")]
     if result.get("peers"):
         lines += ["", frame_gsplat.table(result["peers"])]
@@ -200,7 +190,7 @@ def draw(result, path):
     """Draw the chart of a result of `run` to a PNG; it shows the built-in scenes only."""
     panels, stages = {}, {}
     for row in result["rows"]:
-        if row["scene"] not in SCENES:
+        if row["scene"] not in suite.SCENES:
             continue
         case = f"{row['scene']}, {row['width']} x {row['height']}"
         if row["rmse"] is not None:

@@ -22,24 +22,9 @@ import numpy as np
 from rainsim.errors import ParameterError, require_finite, require_not_negative
 from rainsim.jit import cpu_kernel, prange
 from rainsim.numerics.random import poisson_tables
+from rainsim.rain import poisson_cells
 from rainsim.rain.heightfield import GROUND, OBSTACLE, Surfaces, flat_surfaces
 from rainsim.rain.impacts import Impacts, fill_impacts, joined, run_listing
-from rainsim.rain.poisson_cells import (
-    Cube,
-    DropField,
-    class_keys,
-    cube_key,
-    cube_sides,
-    cubes_along,
-    drop_diameter,
-    drop_id,
-    drop_place,
-    drops_in_cube,
-    size_tables,
-    slab_tasks,
-    swept_cubes,
-    thinned_out,
-)
 from rainsim.rain.size_distribution import CLASSES, RainSpectrum, drop_volume
 from rainsim.rain.wind import wind_shares
 
@@ -218,15 +203,15 @@ class RainField:
         self.velocity = np.empty((CLASSES, 3))
         self.velocity[:, :2] = follow[:, None] * self.wind
         self.velocity[:, 2] = -spectrum.speed
-        self.cube = cube_sides()
-        self._key = class_keys(self.seed)
+        self.cube = poisson_cells.cube_sides()
+        self._key = poisson_cells.class_keys(self.seed)
         self.mean_count = self.listed.density * self.cube**3
         self._count = poisson_tables(self.mean_count)
-        self._size = size_tables(self.listed)
+        self._size = poisson_cells.size_tables(self.listed)
 
     def arrays(self):
         """Return the `DropField` from which kernels list the drops of a cube."""
-        return DropField(
+        return poisson_cells.DropField(
             self.velocity, self.cube, self._key, self._count, self._size, self._share, self._frame
         )
 
@@ -244,7 +229,7 @@ class RainField:
             raise ParameterError("a box is its low and its high corner, three numbers each")
         first, last = self.cubes_in(low, high, time)
         low, high = low.reshape(-1, 3).min(axis=0), high.reshape(-1, 3).max(axis=0)
-        tasks = slab_tasks(first, last)
+        tasks = poisson_cells.slab_tasks(first, last)
         cubes = np.prod(last - first + 1, axis=1)[tasks[:, 0]] / (last - first + 1)[tasks[:, 0], 0]
         expected = self.mean_count[tasks[:, 0]] * cubes
         values, labels, ids = run_listing(
@@ -267,7 +252,7 @@ class RainField:
             the last is less.
         """
         space = self.velocity, self._offset, self.cube[:, None]
-        first, last = cubes_along(low, high, start, duration, *space)
+        first, last = poisson_cells.cubes_along(low, high, start, duration, *space)
         return first.astype(np.int64), last.astype(np.int64)
 
 
@@ -302,12 +287,12 @@ def _fill_box(
         vx, vy, vz = field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2]
         for j in range(first[b, 1], last[b, 1] + 1):
             for k in range(first[b, 2], last[b, 2] + 1):
-                cube = Cube(b, i, j, k)
-                key = cube_key(cube, field)
-                for n in range(drops_in_cube(key, b, field)):
-                    word = drop_id(key, n)
-                    x, y, z = drop_place(word, cube, field)
-                    if thinned_out(word, b, z, field):
+                cube = poisson_cells.Cube(b, i, j, k)
+                key = poisson_cells.cube_key(cube, field)
+                for n in range(poisson_cells.drops_in_cube(key, b, field)):
+                    word = poisson_cells.drop_id(key, n)
+                    x, y, z = poisson_cells.drop_place(word, cube, field)
+                    if poisson_cells.thinned_out(word, b, z, field):
                         continue
                     x, y, z = x + vx * time, y + vy * time, z + vz * time
                     if low[0] <= x < high[0] and low[1] <= y < high[1] and low[2] <= z < high[2]:
@@ -315,7 +300,7 @@ def _fill_box(
                             out = offset[t] + found
                             values_out[out, 0], values_out[out, 1] = x, y
                             values_out[out, 2] = z
-                            values_out[out, 3] = drop_diameter(word, b, field)
+                            values_out[out, 3] = poisson_cells.drop_diameter(word, b, field)
                             labels_out[out, 0] = b
                             ids_out[out] = word
                         found += 1
@@ -340,8 +325,8 @@ def impacts(field, surfaces, start, stop, smallest=0.0, within=None):
     """
     start = require_finite("start", start)
     duration = require_not_negative("stop - start", stop - start, "s")
-    first, last, corner, opposite = swept_cubes(field, surfaces, start, stop, within)
-    tasks = slab_tasks(first, last)
+    first, last, corner, opposite = poisson_cells.swept_cubes(field, surfaces, start, stop, within)
+    tasks = poisson_cells.slab_tasks(first, last)
     tasks = tasks[field.spectrum.edges[tasks[:, 0] + 1] > smallest]
     flux = field.listed.density * field.listed.speed * field.cube * duration
     level = (flux * (last - first + 1)[:, 1] * field.cube)[tasks[:, 0]]

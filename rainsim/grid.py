@@ -19,32 +19,15 @@ from dataclasses import astuple, replace
 
 import numpy as np
 
+from rainsim import errors
 from rainsim.constants import GRAVITY
-from rainsim.errors import (
-    DivergedError,
-    require_choice,
-    require_not_negative,
-    require_positive,
-)
 from rainsim.io.states import digest, read_solver, write_solver
 from rainsim.jit import one_caller
 from rainsim.ledger import Ledger
+from rainsim.water import inputs
 from rainsim.water.choose import MAX_COURANT, SCHEMES, choose
 from rainsim.water.conditions import apply_conditions, let_in, longest_step, place_all
 from rainsim.water.conserving_flow import AccurateFlow, LeanFlow
-from rainsim.water.inputs import (
-    EDGES,
-    MOST_MANNING,
-    field,
-    mean_at_faces,
-    open_edges,
-    refuse_viscosity,
-    require_bed,
-    require_courant,
-    require_drains,
-    require_drops,
-    require_dtype,
-)
 from rainsim.water.paper_flow import PaperFlow
 from rainsim.water.series import rain_pieces
 from rainsim.water.sources import DRY_DEPTH, Sources, sum_tiles
@@ -143,28 +126,35 @@ class WaterSolver:
         dtype=np.float32,
         conditions=None,
     ):
-        bed = require_bed(bed)
+        bed = inputs.require_bed(bed)
         self.shape = bed.shape
-        self.spacing = require_positive("spacing", spacing, "m")
-        self.gravity = require_positive("gravity", gravity, "m/s2")
-        self._asked_scheme = require_choice("scheme", scheme, SCHEMES)
-        self._asked_courant = require_courant(courant, MAX_COURANT[scheme])
-        dtype = require_dtype(dtype)
-        viscosity = require_not_negative("kinematic_viscosity", kinematic_viscosity, "m2/s")
-        storage = field("storage", storage, self.shape).astype(dtype)
-        infiltration = field(
+        self.spacing = errors.require_positive("spacing", spacing, "m")
+        self.gravity = errors.require_positive("gravity", gravity, "m/s2")
+        self._asked_scheme = errors.require_choice("scheme", scheme, SCHEMES)
+        self._asked_courant = inputs.require_courant(courant, MAX_COURANT[scheme])
+        dtype = inputs.require_dtype(dtype)
+        viscosity = errors.require_not_negative("kinematic_viscosity", kinematic_viscosity, "m2/s")
+        storage = inputs.field("storage", storage, self.shape).astype(dtype)
+        infiltration = inputs.field(
             "infiltration", 0.0 if infiltration is None else infiltration, self.shape
         ).astype(dtype)
-        drains = require_drains(drains, self.shape)
-        roughness = field("manning", manning, self.shape, most=MOST_MANNING) ** 2
+        drains = inputs.require_drains(drains, self.shape)
+        roughness = inputs.field("manning", manning, self.shape, most=inputs.MOST_MANNING) ** 2
         roughness = roughness.astype(dtype)
         roughness = roughness if roughness.any() else None
         # Levels are compared, so the height of the map itself must not cost digits.
         self._height = float(bed.mean())
         level_bed = (bed + storage - self._height).astype(dtype)
-        common = level_bed, self.spacing, self.gravity, open_edges(boundary), roughness, DRY_DEPTH
+        common = (
+            level_bed,
+            self.spacing,
+            self.gravity,
+            inputs.open_edges(boundary),
+            roughness,
+            DRY_DEPTH,
+        )
         if scheme == "paper":
-            refuse_viscosity(viscosity)
+            inputs.refuse_viscosity(viscosity)
             self.flow = PaperFlow(*common)
         else:
             self.flow = (LeanFlow if scheme == "lean" else AccurateFlow)(*common, viscosity)
@@ -187,9 +177,9 @@ class WaterSolver:
             Velocity at cell centres. A face takes the mean of its wet neighbours; closed faces
             are 0.
         """
-        depth = field("depth", depth, self.shape)
-        u = field("u", 0.0 if u is None else u, self.shape, signed=True)
-        v = field("v", 0.0 if v is None else v, self.shape, signed=True)
+        depth = inputs.field("depth", depth, self.shape)
+        u = inputs.field("u", 0.0 if u is None else u, self.shape, signed=True)
+        v = inputs.field("v", 0.0 if v is None else v, self.shape, signed=True)
         flow, inner, film = self.flow, self.flow.inner, self.sources.film[self.flow.inner]
         h, remainder, bed = flow.water.h[inner], flow.water.remainder[inner], flow.bed[inner]
         film[:] = np.minimum(depth, self.sources.storage[inner])
@@ -198,8 +188,8 @@ class WaterSolver:
         h[:] = np.where(free >= DRY_DEPTH, free, 0.0)
         remainder[:] = free - h
         del free
-        u = mean_at_faces(u, h, bed, DRY_DEPTH, axis=1).astype(h.dtype)
-        flow.start(u, mean_at_faces(v, h, bed, DRY_DEPTH, axis=0))
+        u = inputs.mean_at_faces(u, h, bed, DRY_DEPTH, axis=1).astype(h.dtype)
+        flow.start(u, inputs.mean_at_faces(v, h, bed, DRY_DEPTH, axis=0))
         self._advances, self._planned = 0, (0.0, 0.0)
         self._has_deposits = False  # drops that no step has taken in yet
         self.settled = False  # whether a step has shown that pressure moves nothing
@@ -232,7 +222,7 @@ class WaterSolver:
 
     def discharge(self, edge):
         """Return the flow that leaves through `edge` now [m3/s]."""
-        require_choice("edge", edge, EDGES)
+        errors.require_choice("edge", edge, inputs.EDGES)
         return self.flow.leaving(edge) * self.spacing
 
     def deposit(self, rows, columns, volumes):
@@ -241,7 +231,7 @@ class WaterSolver:
         The next `advance` takes them in.
         """
         rows, columns, volumes = np.atleast_1d(rows), np.atleast_1d(columns), np.atleast_1d(volumes)
-        require_drops(rows, columns, volumes, self.shape)
+        inputs.require_drops(rows, columns, volumes, self.shape)
         if not len(rows):
             return
         # Rounded once in the sum of a cell, not once for each of its drops.
@@ -255,7 +245,7 @@ class WaterSolver:
 
     def withdraw(self, rows, columns, volumes):
         """Drain up to `volumes` [m3] of free water from cells, none of them named twice."""
-        require_drops(rows, columns, volumes, self.shape)
+        inputs.require_drops(rows, columns, volumes, self.shape)
         if len(rows):
             self._ledger.drained += self.sources.drain(rows, columns, np.asarray(volumes))
             self._has_deposits = True
@@ -284,7 +274,7 @@ class WaterSolver:
         DivergedError
             If the state is no longer finite or flows faster than water can.
         """
-        end = self.time + require_not_negative("duration", duration, "s")
+        end = self.time + errors.require_not_negative("duration", duration, "s")
         self._take_in()
         begin, end = span_of_call(self._planned, self.time, end)
         if end > self.time and (begin, end) != self._planned:
@@ -456,14 +446,14 @@ class WaterSolver:
 
     def _require_possible_speed(self):
         if not self.flow.wave_speed <= MAX_SPEED:  # catches NaN too
-            raise DivergedError(
+            raise errors.DivergedError(
                 f"the water reached {self.flow.largest_speed():.3g} m/s at {self.time:.6g} s; no "
                 f"water on the ground is that fast; use a smaller courant than {self.courant:g}"
             )
 
     def _report(self, substeps):
         if not math.isfinite(self._ledger.ground):
-            raise DivergedError(
+            raise errors.DivergedError(
                 f"the water depth is not finite at {self.time:.6g} s; use a smaller courant than "
                 f"{self.courant:g}"
             )

@@ -20,19 +20,10 @@ import numpy as np
 
 from rainsim.errors import ParameterError, require_choice
 from rainsim.scene.view import lens_array
+from rainsim.splatting import project
 from rainsim.splatting.blend import blend_tiles
 from rainsim.splatting.level_choice import choose_levels
 from rainsim.splatting.prepared import LANES, PreparedSplats, prepare, select
-from rainsim.splatting.project import (
-    BLOCKS,
-    NO_PLANE,
-    RECORD,
-    TILE,
-    Frustum,
-    SplatChunks,
-    find_chunks,
-    project_chunks,
-)
 from rainsim.splatting.tiles import RECORD_BITS, RECORD_MASK, list_tiles, tile_starts
 from rainsim.splatting.weigh import weigh_tiles
 
@@ -78,7 +69,7 @@ class Rasterizer:
 
     def __init__(self, prepared):
         self.prepared = prepared
-        self._record = np.empty((0, RECORD), np.float32)
+        self._record = np.empty((0, project.RECORD), np.float32)
         self._depth = np.empty(0, np.float64)
         self._box = np.empty((0, 4), np.int16)
         self._lane = np.empty(0, np.uint8)
@@ -191,19 +182,19 @@ class Rasterizer:
 
         Returns the indices of the chunks in sight and, for each tile, the start of its list.
         """
-        across, down = -(-camera.width // TILE), -(-camera.height // TILE)
+        across, down = -(-camera.width // project.TILE), -(-camera.height // project.TILE)
         view = np.ascontiguousarray(camera.camera_from_world, dtype=np.float32)
         deep = np.ascontiguousarray(camera.camera_from_world[2], dtype=np.float64)
         eye = (camera.forward if camera.orthographic else camera.position).astype(np.float32)
-        frustum = Frustum(
+        frustum = project.Frustum(
             view, lens_array(camera), np.array([camera.width, camera.height], np.float32),
-            np.float32(near), NO_PLANE if plane is None else np.asarray(plane, np.float32),
+            np.float32(near), project.NO_PLANE if plane is None else np.asarray(plane, np.float32),
             bool(camera.orthographic),
         )  # fmt: skip
         p = self.prepared
         box = p.box if among is None else p.box[among]
         seen = np.empty(len(box), np.bool_)
-        find_chunks(box, frustum, seen)
+        project.find_chunks(box, frustum, seen)
         if among is None:
             if leading and p.leading is not None:
                 seen[p.leading :] = False
@@ -212,10 +203,10 @@ class Rasterizer:
         chunks = np.flatnonzero(seen) if among is None else among[seen]
         self._make_room(len(chunks) * LANES)
         visible = np.zeros(len(chunks), np.int64)
-        count = np.zeros((BLOCKS, across * down), np.int64)
-        project_chunks(
-            SplatChunks(p.geometry, p.sh, p.fine, p.step), chunks, frustum, deep, eye, compensate,
-            p.degree if degree is None else min(degree, p.degree), across,
+        count = np.zeros((project.BLOCKS, across * down), np.int64)
+        project.project_chunks(
+            project.SplatChunks(p.geometry, p.sh, p.fine, p.step), chunks, frustum, deep, eye,
+            compensate, p.degree if degree is None else min(degree, p.degree), across,
             self._record, self._depth, self._box, self._lane, visible, count,
         )  # fmt: skip
         start = tile_starts(count)
@@ -240,7 +231,7 @@ class Rasterizer:
                 "take a part of the scene"
             )
         if places > len(self._record):
-            self._record = np.empty((places, RECORD), np.float32)
+            self._record = np.empty((places, project.RECORD), np.float32)
             self._depth = np.empty(places, np.float64)
             self._box = np.empty((places, 4), np.int16)
             self._lane = np.empty(places, np.uint8)

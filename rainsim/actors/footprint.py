@@ -199,17 +199,15 @@ def footprints_of(scene, spacing):
     return tuple(footprint for footprint in made if footprint is not None)
 
 
-def with_footprints(terrain, scene, footprints=None):
+def with_footprints(terrain, scene):
     """Return the terrain with the actors of a scene on it.
 
     Parked ones stand on the map as things do; of those that move it has the `footprints`. Without
-    actors the terrain itself is returned. `footprints` are those of `footprints_of`, where they are
-    known.
+    actors the terrain itself is returned.
     """
     if not scene.actors or terrain.footprints:
         return terrain
-    if footprints is None:
-        footprints = footprints_of(scene, terrain.grid.spacing)
+    footprints = footprints_of(scene, terrain.grid.spacing)
     parked, moving = (tuple(f for f in footprints if f.parked is still) for still in (True, False))
     top, underside = terrain.top.copy(), terrain.underside.copy()
     for shadow in shadows_on(terrain.grid, parked, 0.0):

@@ -11,15 +11,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rainsim.errors import (
-    InputError,
-    ParameterError,
-    require_choice,
-    require_finite,
-    require_not_negative,
-    require_positive,
-    shown,
-)
+from rainsim import errors
 
 MM_PER_HOUR = 1e-3 / 3600  # m/s
 SKIES = ("overcast", "capture")
@@ -48,22 +40,22 @@ class Number:
             rule = f"be at most {self.most}"
         elif self.remedy:
             rule += f"; {self.remedy}"
-        raise ParameterError(f"{name} is {value}{unit}; it must {rule}")
+        raise errors.ParameterError(f"{name} is {value}{unit}; it must {rule}")
 
 
 def positive(remedy="", **bounds):
     """Return the rule of a number above zero; `bounds` are attributes of `Number`."""
-    return Number(require_positive, remedy, **bounds)
+    return Number(errors.require_positive, remedy, **bounds)
 
 
 def not_negative(remedy="", **bounds):
     """Return the rule of a number that is zero or more; `bounds` are attributes of `Number`."""
-    return Number(require_not_negative, remedy, **{"low": 0.0} | bounds)
+    return Number(errors.require_not_negative, remedy, **{"low": 0.0} | bounds)
 
 
 def finite(remedy="", **bounds):
     """Return the rule of a number of either sign; `bounds` are attributes of `Number`."""
-    return Number(lambda name, x, _, more: require_finite(name, x, more), remedy, **bounds)
+    return Number(lambda name, x, _, more: errors.require_finite(name, x, more), remedy, **bounds)
 
 
 class OneOf:
@@ -74,7 +66,7 @@ class OneOf:
 
     def __call__(self, name, value, unit):
         """Raise ParameterError unless `value` is one of them."""
-        require_choice(self.label or name, value, self.choices, self.remedy)
+        errors.require_choice(self.label or name, value, self.choices, self.remedy)
 
 
 def whole(low, high):
@@ -87,20 +79,21 @@ def check_sky(sky):
     if sky in SKIES:
         return
     if not isinstance(sky, str) or not sky.lower().endswith(".hdr"):
-        raise ParameterError(
-            f"sky is {shown(sky)}; it must be {' or '.join(SKIES)} or the path of a Radiance .hdr "
-            "file"
+        raise errors.ParameterError(
+            f"sky is {errors.shown(sky)}; it must be {' or '.join(SKIES)} or the path of a "
+            "Radiance .hdr file"
         )
     if not os.path.isfile(sky):  # pathlib raises where a name is too long for any file
-        raise InputError(f"there is no sky file {sky}; check the path, or use overcast")
+        raise errors.InputError(f"there is no sky file {sky}; check the path, or use overcast")
 
 
 def require_whole(name, value, low, high, unit=""):
     """Return `value`, or raise ParameterError unless it is a whole number from low to high."""
     unit = f" {unit}" if unit else ""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ParameterError(
-            f"{name} is {shown(value)}{unit}; it must be a whole number from {low} to {high}{unit}"
+        raise errors.ParameterError(
+            f"{name} is {errors.shown(value)}{unit}; it must be a whole number from {low} to "
+            f"{high}{unit}"
         )
     return value
 
@@ -108,7 +101,7 @@ def require_whole(name, value, low, high, unit=""):
 def pair(name, value, what):
     """Return `value`, or raise ParameterError unless it is two values, which `what` names."""
     if not isinstance(value, tuple | list) or len(value) != 2:
-        raise ParameterError(f"{name} is {shown(value)}; it must be {what}")
+        raise errors.ParameterError(f"{name} is {errors.shown(value)}; it must be {what}")
     return value
 
 

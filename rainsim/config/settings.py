@@ -10,26 +10,13 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import rainsim.config.timeline as timeline
+from rainsim.config import preset_files, tables
 from rainsim.config.frame_settings import MAX_FRAMES, FrameConfig
-from rainsim.config.preset_files import (
-    DEFAULT_PRESET,
-    from_human,
-    nearest,
-    parsed_toml,
-    preset_file,
-    preset_names,
-    preset_text,
-)
+from rainsim.config.preset_files import nearest, preset_names, preset_text
 from rainsim.config.rain_settings import RainConfig
 from rainsim.config.render_settings import RenderConfig
 from rainsim.config.rules import MM_PER_HOUR, check_sky, pair, require_whole
-from rainsim.config.tables import (
-    GROUPS,
-    HUMAN_KEYS,
-    SETTINGS,
-    group_of,
-    look_settings,
-)
+from rainsim.config.tables import HUMAN_KEYS
 from rainsim.config.water_settings import TerrainConfig, WaterConfig
 from rainsim.errors import ParameterError
 
@@ -66,13 +53,13 @@ class Config(FrameConfig):
     @property
     def look(self):
         """The look: "paper" where every choice of the paper is taken, else "physical"."""
-        paper = look_settings("paper")
+        paper = tables.look_settings("paper")
         taken = all(self.value(name) == value for name, value in paper.items())
         return "paper" if taken else "physical"
 
     def value(self, name):
         """Return the value [SI] of a setting by its name, whatever its group."""
-        group = group_of(name)
+        group = tables.group_of(name)
         return getattr(self if group is None else getattr(self, group), name)
 
     def key_times(self):
@@ -101,7 +88,7 @@ class Config(FrameConfig):
         return range(*(self.frame_range or (0, self.frames)))
 
     @classmethod
-    def from_preset(cls, name=DEFAULT_PRESET):
+    def from_preset(cls, name=preset_files.DEFAULT_PRESET):
         """Return the settings of a built-in preset or of a TOML file.
 
         Parameters
@@ -114,7 +101,7 @@ class Config(FrameConfig):
         ParameterError
             If there is no such preset, or a key or value in it is wrong.
         """
-        return cls.from_toml(*preset_file(name))
+        return cls.from_toml(*preset_files.preset_file(name))
 
     @classmethod
     def from_toml(cls, text, where="settings", folder=None):
@@ -122,10 +109,10 @@ class Config(FrameConfig):
 
         `where` names the text in errors; a relative sky file is looked for in `folder`.
         """
-        table = parsed_toml(text, where)
+        table = preset_files.parsed_toml(text, where)
         frames = table.pop(timeline.LIST_KEY, [])
-        changes = from_human(table, where, folder)
-        frames = timeline.read_keyframes(frames, from_human, where)
+        changes = preset_files.from_human(table, where, folder)
+        frames = timeline.read_keyframes(frames, preset_files.from_human, where)
         try:
             config = dataclasses.replace(cls().replace(**changes), keyframes=frames)
             config._check_each()  # not one against another: options may change either yet
@@ -146,12 +133,12 @@ class Config(FrameConfig):
         """
         grouped = {}
         if "look" in changes:
-            changes = look_settings(changes.pop("look")) | changes
+            changes = tables.look_settings(changes.pop("look")) | changes
         for name, value in changes.items():
-            if name not in SETTINGS:
-                known = nearest(name, [*SETTINGS, "look"])
+            if name not in tables.SETTINGS:
+                known = nearest(name, [*tables.SETTINGS, "look"])
                 raise ParameterError(f"{name} is not a setting; {known}; correct the name")
-            grouped.setdefault(group_of(name), {})[name] = value
+            grouped.setdefault(tables.group_of(name), {})[name] = value
         top = grouped.pop(None, {})
         if self.keyframes:
             top.setdefault("keyframes", timeline.without(self.keyframes, set(changes)))
@@ -182,7 +169,7 @@ class Config(FrameConfig):
                 self.at(time)._check_each()
             except ParameterError as error:
                 raise ParameterError(f"at {time:g} s: {error}") from None
-        for group in filter(None, GROUPS):
+        for group in filter(None, tables.GROUPS):
             getattr(self, group).check()
         super().check()
 
@@ -211,8 +198,8 @@ class Config(FrameConfig):
         """
         if not isinstance(groups, dict):
             raise ParameterError("the settings are no table of names and values; correct them")
-        flat = {name: value for name, value in groups.items() if name not in GROUPS}
-        for group in filter(None, GROUPS):
+        flat = {name: value for name, value in groups.items() if name not in tables.GROUPS}
+        for group in filter(None, tables.GROUPS):
             own = groups.get(group, {})
             if not isinstance(own, dict):
                 raise ParameterError(f"the settings of {group} are no table; correct them")

@@ -17,33 +17,13 @@ import numpy as np
 from rainsim.cuda.driver import Counted
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
-from rainsim.cuda.rain.settling import (
-    CLASS,
-    COLUMN,
-    DIAMETER,
-    KIND,
-    LABELS,
-    ROW,
-    TIME,
-    VALUES,
-    ImpactLists,
-    X,
-    Y,
-    Z,
-    settle,
-)
+from rainsim.cuda.rain import settling
+from rainsim.cuda.rain.settling import CLASS, COLUMN, DIAMETER, KIND, ROW, TIME, X, Y, Z
 from rainsim.cuda.warp import GROUP, THREADS, ballot, claim_row
 from rainsim.numerics.random import uniform
+from rainsim.rain import poisson_cells
 from rainsim.rain.heightfield import first_hit
 from rainsim.rain.impacts import TIME_MARGIN, cubes_swept, may_land
-from rainsim.rain.poisson_cells import (
-    Cube,
-    DropField,
-    cube_key,
-    drop_diameter,
-    drop_id,
-    drop_place,
-)
 from rainsim.rain.size_distribution import CLASSES
 
 BLOCK_COLUMNS = 4 if SIMULATED else 32  # that a block looks at together
@@ -119,13 +99,15 @@ def seek(
         for begin in range(0, cubes, THREADS // GROUP):
             rest = begin + thread // GROUP
             column, n, chance = 0, most, 0.0
-            cube = Cube(places[0, 0], places[0, 0], places[0, 0], places[0, 0])
+            cube = poisson_cells.Cube(places[0, 0], places[0, 0], places[0, 0], places[0, 0])
             word = key = field.class_key[0]
             if rest < cubes:
                 column = _holder_of(rest, ends)
                 k = places[column, 3] + rest - ends[column] + many[column]
-                cube = Cube(places[column, 0], places[column, 1], places[column, 2], k)
-                key, n = cube_key(cube, field), lane
+                cube = poisson_cells.Cube(
+                    places[column, 0], places[column, 1], places[column, 2], k
+                )
+                key, n = poisson_cells.cube_key(cube, field), lane
                 chance = uniform(key)
             while True:
                 # The cube holds drop n if its number is beyond that chance, see `drops_in_cube`.
@@ -134,7 +116,7 @@ def seek(
                     break
                 wanted = False
                 if there:
-                    word = drop_id(key, n)
+                    word = poisson_cells.drop_id(key, n)
                     wanted = may_land(
                         word, cube, start, stop, heights[column, 0], heights[column, 1], field,
                         surfaces,
@@ -223,7 +205,7 @@ def fill_impacts(
                 values_out[slot, place, X] = x + vx * time
                 values_out[slot, place, Y] = y + vy * time
                 values_out[slot, place, Z] = z + vz * time
-                values_out[slot, place, DIAMETER] = drop_diameter(word, b, field)
+                values_out[slot, place, DIAMETER] = poisson_cells.drop_diameter(word, b, field)
                 values_out[slot, place, TIME] = time
                 labels_out[slot, place, CLASS], labels_out[slot, place, KIND] = b, kind
                 labels_out[slot, place, ROW], labels_out[slot, place, COLUMN] = row, column
@@ -255,7 +237,7 @@ def _passes_over(b, x, y, z, start, stop, field, surfaces):
 def _place(n, tasks, words, columns, field):
     """Return the class of drop n of a list and where it would be at time 0 [m]."""
     b, i, j = _column_of(tasks[n, 0], columns)
-    x, y, z = drop_place(words[n], Cube(b, i, j, tasks[n, 1]), field)
+    x, y, z = poisson_cells.drop_place(words[n], poisson_cells.Cube(b, i, j, tasks[n, 1]), field)
     return b, x, y, z
 
 
@@ -296,7 +278,9 @@ class Listed(FrameUniforms):
         }  # fmt: skip
         super().__init__(names | arrays_of(field))
         self.columns = Columns(*(self[name] for name in Columns._fields))
-        self.field = DropField(*(self[name] for name in DropField._fields))
+        self.field = poisson_cells.DropField(
+            *(self[name] for name in poisson_cells.DropField._fields)
+        )
         self._taken = None
 
     def take(self, field):
@@ -331,10 +315,10 @@ class Impacts:
         many = SOUGHT * room + 2**16  # those near tall things are sought for longer
         self._tasks = cuda.device_array((many, 2), i4)
         self._words = cuda.device_array(many, np.uint64)
-        self.lists = ImpactLists(
+        self.lists = settling.ImpactLists(
             cuda.to_device(np.zeros(slots, i4)),
-            cuda.device_array((slots, room, VALUES), np.float64),
-            cuda.device_array((slots, room, LABELS), i4),
+            cuda.device_array((slots, room, settling.VALUES), np.float64),
+            cuda.device_array((slots, room, settling.LABELS), i4),
             cuda.device_array((slots, room), np.uint64),
         )
 
@@ -378,7 +362,7 @@ class Impacts:
         point, came_out : device arrays. See `settling.settle`.
         """
         blocks = -(-self.room // THREADS) if not SIMULATED else 2
-        settle[blocks, THREADS](
+        settling.settle[blocks, THREADS](
             self.lists, float(start), float(stop), 0, self._fall, land.cells, ripples.tile, point,
             land.waiting, came_out, ripples.pushes,
         )  # fmt: skip

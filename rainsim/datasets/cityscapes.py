@@ -10,19 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.datasets import kinds
 from rainsim.datasets.data_files import PNG, PNG16, DataFile, condition
-from rainsim.datasets.kinds import (
-    FIRST_WITH_INSTANCES,
-    GROUND,
-    IGNORED,
-    LAST_ID,
-    PER_CLASS,
-    ROAD,
-    TRAIN_IDS,
-    UNLABELED,
-    class_of,
-    kind_of,
-)
 from rainsim.datasets.sample import depth_mm
 from rainsim.render.labels import OTHER_CLASS
 from rainsim.terrain.table import WATER
@@ -41,8 +30,8 @@ def sample_files(sample, plan):
     split = "val" if sample.view.held_out else "train"
     name = f"{split}/{city}/{city}_000000_{sample.view.index:06d}"
     folder, ids = condition(sample.rate), label_ids(sample)
-    table = np.full(256, IGNORED, np.uint8)
-    table[list(TRAIN_IDS)] = list(TRAIN_IDS.values())
+    table = np.full(256, kinds.IGNORED, np.uint8)
+    table[list(kinds.TRAIN_IDS)] = list(kinds.TRAIN_IDS.values())
     yield DataFile(f"{folder}/leftImg8bit/{name}_leftImg8bit.png", PNG, sample.picture)
     gt = f"{folder}/gtFine/{name}_gtFine"
     yield DataFile(f"{gt}_labelIds.png", PNG, ids)
@@ -69,20 +58,20 @@ def label_ids(sample):
     A puddle counts as the road that it stands on.
     """
     if sample.labels is not None:
-        own = class_of(sample.labels)
-        ids = np.where(own <= LAST_ID, own, UNLABELED).astype(np.uint8)
+        own = kinds.class_of(sample.labels)
+        ids = np.where(own <= kinds.LAST_ID, own, kinds.UNLABELED).astype(np.uint8)
         return with_actors(ids, sample, sample.labels == OTHER_CLASS)
-    table = np.full(256, UNLABELED, np.uint8)
-    table[list(GROUND)] = list(GROUND.values())
+    table = np.full(256, kinds.UNLABELED, np.uint8)
+    table[list(kinds.GROUND)] = list(kinds.GROUND.values())
     ids = table[np.minimum(sample.class_id, 255)]
-    ids[(sample.class_id == WATER) & (sample.puddle_id > 0)] = ROAD
+    ids[(sample.class_id == WATER) & (sample.puddle_id > 0)] = kinds.ROAD
     return with_actors(ids, sample, True)
 
 
 def with_actors(ids, sample, where):
     """Return Cityscapes' ids with those of the actors that a sample shows, within a mask."""
     for actor in sample.facts.get("actors", ()):
-        ids[(sample.actor_id == actor["number"]) & where] = kind_of(actor["class"]).cityscapes
+        ids[(sample.actor_id == actor["number"]) & where] = kinds.kind_of(actor["class"]).cityscapes
     return ids
 
 
@@ -94,10 +83,10 @@ def instance_ids(sample, ids):
     """
     found = ids.astype(np.uint16)
     if sample.labels is not None:
-        numbered = (sample.labels >= FIRST_WITH_INSTANCES * PER_CLASS) & (ids > 0)
+        numbered = (sample.labels >= kinds.FIRST_WITH_INSTANCES * kinds.PER_CLASS) & (ids > 0)
         found[numbered] = sample.labels[numbered]
     if sample.actor_id is None:
         return found
-    own = (sample.actor_id > 0) & (ids >= FIRST_WITH_INSTANCES)
-    number = (sample.actor_id.astype(np.int64) - 1) % PER_CLASS
-    return np.where(own, ids.astype(np.int64) * PER_CLASS + number, found).astype(np.uint16)
+    own = (sample.actor_id > 0) & (ids >= kinds.FIRST_WITH_INSTANCES)
+    number = (sample.actor_id.astype(np.int64) - 1) % kinds.PER_CLASS
+    return np.where(own, ids.astype(np.int64) * kinds.PER_CLASS + number, found).astype(np.uint16)

@@ -10,13 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.datasets.kinds import (
-    OUTLIER,
-    PER_CLASS,
-    SEMANTIC_GROUND,
-    class_of,
-    kind_of,
-)
+from rainsim.datasets import kinds
 from rainsim.lod.held_parts import scene_in_reach
 from rainsim.render.labels import GROUND_REACH, OTHER_CLASS
 from rainsim.sensors.lidar import LidarScanner, Pose
@@ -79,11 +73,11 @@ class Clouds:
         if self.user_labels is not None:
             own = self.user_labels.of_points(place)
             labels = np.where(own != OTHER_CLASS, semantic_label(own), labels)
-        labels[scan.label[back] != KEPT] = OUTLIER
+        labels[scan.label[back] != KEPT] = kinds.OUTLIER
         if scan.actor is not None:
             number = scan.actor[back].astype("<u4")
             for actor in actors:
-                kind = kind_of(actor["class"])
+                kind = kinds.kind_of(actor["class"])
                 moves = np.linalg.norm(actor["box3d"]["velocity"]) > MOVES
                 shown = (number == actor["number"]) & (scan.label[back] == KEPT)
                 labels[shown] = kind.moving if moves else kind.semantic
@@ -96,11 +90,13 @@ class Clouds:
         row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
         near = inside & (np.abs(place[:, 2] - terrain.bed[row, column]) < GROUND_REACH)
         table = np.zeros(256, "<u4")
-        table[list(SEMANTIC_GROUND)] = list(SEMANTIC_GROUND.values())
+        table[list(kinds.SEMANTIC_GROUND)] = list(kinds.SEMANTIC_GROUND.values())
         return np.where(near, table[terrain.ground_class[row, column]], 0).astype("<u4")
 
 
 def semantic_label(own):
     """Return SemanticKITTI's labels of the user's ids: class below, instance above, uint32."""
     own = own.astype("<u4")
-    return np.where(own < PER_CLASS, own, class_of(own) + NODE * (own % PER_CLASS)).astype("<u4")
+    return np.where(
+        own < kinds.PER_CLASS, own, kinds.class_of(own) + NODE * (own % kinds.PER_CLASS)
+    ).astype("<u4")

@@ -9,17 +9,9 @@ MMDetection3D read it.
 
 from __future__ import annotations
 
-from rainsim.datasets import beside
+from rainsim.datasets import beside, kitti
 from rainsim.datasets.data_files import BYTES, FOLDER, PNG, TEXT, DataFile, condition
 from rainsim.datasets.kinds import kind_of
-from rainsim.datasets.kitti import (
-    box_file,
-    calibration,
-    channel_of,
-    first_from_ground,
-    is_first,
-    object_boxes,
-)
 from rainsim.io.files import read_json
 
 TRUNCATED = (0.01, 0.5)  # shares from which tracking has a box as partly and largely truncated
@@ -29,10 +21,14 @@ def sample_files(sample, plan):
     """Yield the `DataFile`s of a sample."""
     view, training = sample.view, f"{condition(sample.rate)}/training"
     number = f"{view.number:06d}"
-    yield DataFile(f"{training}/image_{channel_of(view, plan)}/{number}.png", PNG, sample.picture)
-    if is_first(view, plan):
-        yield DataFile(f"{training}/calib/{number}.txt", TEXT, calibration(view.camera, plan.rig))
-    yield box_file(sample, plan)
+    yield DataFile(
+        f"{training}/image_{kitti.channel_of(view, plan)}/{number}.png", PNG, sample.picture
+    )
+    if kitti.is_first(view, plan):
+        yield DataFile(
+            f"{training}/calib/{number}.txt", TEXT, kitti.calibration(view.camera, plan.rig)
+        )
+    yield kitti.box_file(sample, plan)
     if sample.cloud is not None:
         yield from point_files(training, number, sample.cloud)
 
@@ -60,12 +56,12 @@ def plan_files(plan, folder):
         place = condition(rate)
         for name, held in (("train", False), ("val", True)):
             lines = [f"{v.number:06d}\n" for v in plan.views
-                     if v.held_out == held and is_first(v, plan)]  # fmt: skip
+                     if v.held_out == held and kitti.is_first(v, plan)]  # fmt: skip
             yield DataFile(f"{place}/ImageSets/{name}.txt", TEXT, "".join(lines))
         if plan.sequence and folder is not None:
             by_channel = {}
             for view in plan.views:
-                by_channel.setdefault(channel_of(view, plan), []).append(view)
+                by_channel.setdefault(kitti.channel_of(view, plan), []).append(view)
             for channel, views in by_channel.items():
                 facts = [read_json(folder / place / FOLDER / f"{view.name}.json", "facts")
                          for view in views]  # fmt: skip
@@ -77,8 +73,8 @@ def tracking_labels(views, facts, plan):
     """Return a label_02 file: frame, track, type, truncation and occlusion as levels, and box."""
     lines = []
     for view, known in zip(views, facts, strict=True):
-        for actor, cut, hidden, box in object_boxes(
-            known.get("actors", ()), view.camera, first_from_ground(view, plan)
+        for actor, cut, hidden, box in kitti.object_boxes(
+            known.get("actors", ()), view.camera, kitti.first_from_ground(view, plan)
         ):  # fmt: skip
             level = sum(cut >= share for share in TRUNCATED)
             kind = kind_of(actor["class"]).kitti

@@ -10,18 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.daylight import sky_light
-from rainsim.daylight.visibility import (
-    BATCH,
-    COARSER,
-    add_light,
-    add_sides,
-    axes_of,
-    coarsened,
-    draw_heights,
-    find_seen,
-    resized,
-)
+from rainsim.daylight import sky_light, visibility
 
 SKY_DIRECTIONS = 96
 SKIES = 5  # see `sky_radiance`
@@ -46,12 +35,12 @@ class Light(NamedTuple):
 
 def maps_along(solids, window, directions):
     """Yield slices of the directions, their axes and the maps of heights along them."""
-    solids = coarsened(solids, COARSER * float(window.pixel))
-    for start in range(0, len(directions), BATCH):
-        part = slice(start, min(start + BATCH, len(directions)))
-        axes = axes_of(directions[part])
+    solids = visibility.coarsened(solids, visibility.COARSER * float(window.pixel))
+    for start in range(0, len(directions), visibility.BATCH):
+        part = slice(start, min(start + visibility.BATCH, len(directions)))
+        axes = visibility.axes_of(directions[part])
         heights = np.empty((len(axes), window.side, window.side), np.float32)
-        draw_heights(solids, axes, window, heights)
+        visibility.draw_heights(solids, axes, window, heights)
         yield part, axes, heights
 
 
@@ -60,10 +49,10 @@ def turn_to_the_open(surface, solids, window):
 
     They are the backs of walls, which no camera saw; `surface.normal` is modified in place.
     """
-    directions, window = sky_light.hemisphere(SIDE_DIRECTIONS), resized(window, SIDE)
+    directions, window = sky_light.hemisphere(SIDE_DIRECTIONS), visibility.resized(window, SIDE)
     sides = np.zeros((len(surface.position), 2), np.float32)
     for _, axes, heights in maps_along(solids, window, directions):
-        add_sides(
+        visibility.add_sides(
             heights, axes, window, surface.position, surface.normal, np.float32(MARGIN), sides
         )
     sides /= SIDE_DIRECTIONS / 2  # what open level ground receives
@@ -103,7 +92,7 @@ def sky_sums(position, normal, flat, solids, window, sun, margin=MARGIN):
     if len(position):
         directions, skies = sky_radiance(sun)
         for part, axes, heights in maps_along(solids, window, directions):
-            add_light(
+            visibility.add_light(
                 heights, axes, window, position, normal, flat, np.float32(margin), skies[part],
                 total,
             )  # fmt: skip
@@ -138,19 +127,19 @@ def sunlit(surface, solids, windows, sun, unsure=0.0):
     The second is the mean over places BAND away, and over suns `unsure` [rad] away: where it is
     another, the edge of a shadow is near or may be.
     """
-    axes = axes_of(sun)
+    axes = visibility.axes_of(sun)
     others = []
     if unsure:
         turn = np.arange(SUNS) * 2 * np.pi / SUNS
         moved = np.cos(turn)[:, None] * axes[0, 0] + np.sin(turn)[:, None] * axes[0, 1]
         moved = sun + math.tan(unsure) * moved
-        others = axes_of(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+        others = visibility.axes_of(moved / np.linalg.norm(moved, axis=1, keepdims=True))
     own, about = (np.zeros(len(surface.position), np.float32) for _ in range(2))
     for part, window, margin in _parts(surface, windows):
         if window is windows[0]:
-            window = resized(window, SUN_SIDE)
+            window = visibility.resized(window, SUN_SIDE)
         heights = np.empty((1, window.side, window.side), np.float32)
-        draw_heights(solids, axes, window, heights)
+        visibility.draw_heights(solids, axes, window, heights)
         position, normal = surface.position[part], surface.normal[part]
         rest = normal, surface.flat[part], np.float32(margin)
         own[part] = _seen(heights, axes, window, position, *rest)
@@ -158,7 +147,7 @@ def sunlit(surface, solids, windows, sun, unsure=0.0):
             moved = position + np.float32(BAND) * step
             about[part] += _seen(heights, axes, window, moved, *rest) / AROUND
         for other in others:
-            draw_heights(solids, other[None], window, heights)
+            visibility.draw_heights(solids, other[None], window, heights)
             change = _seen(heights, other[None], window, position, *rest) - own[part]
             about[part] += change / len(others)
     return own, about
@@ -167,7 +156,7 @@ def sunlit(surface, solids, windows, sun, unsure=0.0):
 def _seen(heights, axes, window, *places):
     """Return what `find_seen` finds along one direction."""
     seen = np.empty((len(places[0]), 1), np.float32)
-    find_seen(heights, axes, window, *places, seen)
+    visibility.find_seen(heights, axes, window, *places, seen)
     return seen[:, 0]
 
 

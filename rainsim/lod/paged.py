@@ -142,10 +142,6 @@ class PagedRasterizer:
         """Let `held` hold the pages of a picture; the other parameters are those of `draw`."""
         self._take(held, self.wanted(camera, near, plane, leading, threshold), leading)
 
-    def let_go(self):
-        """Let go of the pages of the last picture."""
-        self._held = Held()
-
     def read_ahead(self, camera, near):
         """Begin to read the runs that a camera needs, on another thread."""
         kept = self.pages.kept

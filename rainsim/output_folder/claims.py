@@ -10,15 +10,7 @@ from pathlib import Path
 from rainsim.errors import ParameterError, one_line
 from rainsim.io.claim import ClaimedError, claim
 from rainsim.io.journal import Journal
-from rainsim.output_folder.names import (
-    CLAIM,
-    JOURNAL,
-    OURS,
-    PROVENANCE,
-    files_of,
-    names_in,
-    read_record,
-)
+from rainsim.output_folder import names
 
 
 @contextmanager
@@ -39,7 +31,7 @@ def claimed(path, overwrite=False, resume=False, sources=(), shared=False):
     require_empty(path, overwrite or resume or shared)
     made = [p for p in (path, *path.parents) if not p.exists()]
     try:
-        with claim(path / CLAIM, shared):
+        with claim(path / names.CLAIM, shared):
             require_empty(path, overwrite or resume or shared)  # another run may have been first
             if overwrite and not resume:
                 _require_replaceable(path, sources)
@@ -49,7 +41,7 @@ def claimed(path, overwrite=False, resume=False, sources=(), shared=False):
         raise ParameterError(
             f"another run writes to output folder {path} ({error}); each run needs its own, and "
             "processes that share a run all have a --frame-range; give another --out, or remove "
-            f"{path / CLAIM} if that run has ended"
+            f"{path / names.CLAIM} if that run has ended"
         ) from None
     finally:
         own = () if shared else (path / "frames", path / "states", path / "layers")
@@ -66,7 +58,11 @@ def require_no_file(path):
 
 def require_empty(path, overwrite):
     """Raise ParameterError if an output folder holds files, unless it may (`overwrite`)."""
-    if path.is_dir() and not overwrite and any(entry.name != CLAIM for entry in path.iterdir()):
+    if (
+        path.is_dir()
+        and not overwrite
+        and any(entry.name != names.CLAIM for entry in path.iterdir())
+    ):
         raise ParameterError(
             f"output folder {path} exists and is not empty; it must be new or empty; "
             "give another --out, --overwrite to replace results in it, or --resume to go on with "
@@ -76,9 +72,9 @@ def require_empty(path, overwrite):
 
 def _require_replaceable(path, sources):
     """Raise ParameterError if new results in `path` would cost more than results of before."""
-    record, here = read_record(path), path.resolve()
+    record, here = names.read_record(path), path.resolve()
     for source in (Path(source).resolve() for source in sources if source is not None):
-        is_ours = source.parent == here and OURS.fullmatch(source.name)
+        is_ours = source.parent == here and names.OURS.fullmatch(source.name)
         if is_ours or (record and source == here):
             raise ParameterError(
                 f"output folder {path} holds what this run reads, {one_line(source.name)}; "
@@ -86,11 +82,11 @@ def _require_replaceable(path, sources):
             )
     if record and not record.get("complete"):
         return  # a killed run leaves a file or two that it had no time to note
-    noted = Journal(path, JOURNAL, OURS.fullmatch).entries().values()
-    known = {*files_of(record), *(name for entry in noted for name in entry["files"])}
-    known |= {JOURNAL, PROVENANCE} if record else set()
-    for name in sorted(names_in(path)):
-        if (name == PROVENANCE or OURS.fullmatch(name)) and name not in known:
+    noted = Journal(path, names.JOURNAL, names.OURS.fullmatch).entries().values()
+    known = {*names.files_of(record), *(name for entry in noted for name in entry["files"])}
+    known |= {names.JOURNAL, names.PROVENANCE} if record else set()
+    for name in sorted(names.names_in(path)):
+        if (name == names.PROVENANCE or names.OURS.fullmatch(name)) and name not in known:
             raise ParameterError(
                 f"{path / name} is on no record of a run; --overwrite replaces recorded results "
                 "only; give another --out, or move the file away"

@@ -11,14 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.jit import (
-    inlined_function,
-    lean_function,
-    none_taken,
-    prange,
-    take_next,
-    thorough_kernel,
-)
+from rainsim import jit
+from rainsim.jit import prange
+from rainsim.particles import line_raster, splash
 from rainsim.particles.crown import (
     FINE_PIXEL,
     JET_FROM,
@@ -29,16 +24,6 @@ from rainsim.particles.crown import (
     raise_crown,
     raise_jet,
 )
-from rainsim.particles.line_raster import (
-    FX,
-    FY,
-    NEAR,
-    SceneDepth,
-    lane,
-    lanes,
-    read_depth,
-    resolve_band,
-)
 from rainsim.particles.shutter_view import (
     beside_planes,
     footprint,
@@ -46,31 +31,10 @@ from rainsim.particles.shutter_view import (
     shutter_view,
     to_camera,
 )
-from rainsim.particles.splash import (
-    LARGEST_SHARE,
-    SMALLEST_ON_FILM,
-    SMALLEST_SPLASH,
-    WET_DEPTH,
-    Impact,
-    droplet,
-    droplets_of,
-    least_seen,
-    longest_flight,
-    relative_size,
-    splashes_on,
-)
 from rainsim.particles.streaks import draw_lines, drawing_buffers
+from rainsim.rain import poisson_cells
 from rainsim.rain.heightfield import GROUND
 from rainsim.rain.impacts import cubes_swept, landing, may_land, no_impacts
-from rainsim.rain.poisson_cells import (
-    Cube,
-    cube_key,
-    drop_diameter,
-    drop_id,
-    drops_in_cube,
-    slab_tasks,
-    swept_cubes,
-)
 from rainsim.rain.size_distribution import terminal_speed
 from rainsim.scene.view import finest
 
@@ -165,7 +129,9 @@ def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, de
 def _run_pass(field, surfaces, camera, view, water, depth, alpha_out, more, room):
     """Draw, or with `room` return each worker's list of splashes: number, places and ids."""
     require_pictures(camera, depth, alpha_out)
-    windows, tasks = _windows(field, surfaces, camera, view, water, max(float(depth.min()), NEAR))
+    windows, tasks = _windows(
+        field, surfaces, camera, view, water, max(float(depth.min()), line_raster.NEAR)
+    )
     columns, tiles, pictures = drawing_buffers(depth.shape)
     workers = len(pictures)
     found = np.zeros(workers, np.int64)
@@ -186,28 +152,30 @@ def _windows(field, surfaces, camera, view, water, nearest):
     is a list, a class and the number i of a slab.
     """
     time, exposure = view.time, view.exposure
-    smallest = SMALLEST_ON_FILM if water.film > WET_DEPTH else SMALLEST_SPLASH
+    smallest = splash.SMALLEST_ON_FILM if water.film > splash.WET_DEPTH else splash.SMALLEST_SPLASH
     focal = finest(camera)
-    least = max(smallest, least_seen(nearest / focal, exposure) / LARGEST_SHARE)
+    least = max(smallest, splash.least_seen(nearest / focal, exposure) / splash.LARGEST_SHARE)
     if water.ground.max() > JET_FROM * smallest:
         least = smallest
     largest = field.spectrum.edges[1:]  # of each class
     speeds = terminal_speed(largest)
     lately = time - crown_life(largest, speeds)
-    starts = np.stack([lately, np.where(largest > least, time - longest_flight(speeds), lately)])
+    starts = np.stack(
+        [lately, np.where(largest > least, time - splash.longest_flight(speeds), lately)]
+    )
     stops = np.stack([np.where(largest > smallest, time + exposure, lately), lately])
     boxes, tasks = [], []
     for n, reach in enumerate((FARTHEST, FINE_PIXEL * focal)):
         region = footprint(camera, reach, MARGIN)
-        boxes.append(swept_cubes(field, surfaces, starts[n], stops[n], region)[:2])
-        slabs = slab_tasks(*boxes[n])
+        boxes.append(poisson_cells.swept_cubes(field, surfaces, starts[n], stops[n], region)[:2])
+        slabs = poisson_cells.slab_tasks(*boxes[n])
         slabs = slabs[(starts[n] < stops[n])[slabs[:, 0]]]
         tasks.append(np.column_stack([np.full(len(slabs), n), slabs]))
     first, last = (np.stack(corners) for corners in zip(*boxes, strict=True))
     return _Windows(starts, stops, first, last), np.concatenate(tasks)
 
 
-@thorough_kernel
+@jit.thorough_kernel
 def _draw_splashes(
     tasks, windows, field, surfaces, water, drips, view, depth, columns_out, tiles_out, pictures,
     alpha_out, seen_out, position_out, ids_out,
@@ -219,10 +187,13 @@ def _draw_splashes(
     workers = pictures.shape[0]
     height, width = alpha_out.shape
     for band in prange(tiles_out.shape[1]):
-        read_depth(np.int64(band), depth, columns_out, tiles_out)
-    taken = none_taken()
+        line_raster.read_depth(np.int64(band), depth, columns_out, tiles_out)
+    taken = jit.none_taken()
     for worker in prange(workers):
-        scene, picture = SceneDepth(width, height, columns_out, tiles_out), pictures[worker]
+        scene, picture = (
+            line_raster.SceneDepth(width, height, columns_out, tiles_out),
+            pictures[worker],
+        )
         picture[:] = 0
         lines, listed = np.empty((_ROOM, 7)), np.zeros(1, np.int64)
         own_seen, own_position, own_ids = seen_out[worker:], position_out[worker], ids_out[worker]
@@ -230,7 +201,7 @@ def _draw_splashes(
             under = water.film
             if drips.kind[n] == GROUND:
                 under += water.ground[drips.row[n], drips.column[n]]
-            impact = Impact(
+            impact = splash.Impact(
                 drips.id[n], drips.position[n, 0], drips.position[n, 1], drips.position[n, 2],
                 drips.velocity[n, 0], drips.velocity[n, 1], abs(drips.velocity[n, 2]),
                 drips.diameter[n], under, view.time - drips.time[n],
@@ -238,19 +209,19 @@ def _draw_splashes(
             _draw_splash(
                 impact, view, scene, listed, lines, own_seen, own_position, own_ids, picture
             )
-        t = take_next(taken)
+        t = jit.take_next(taken)
         while t < tasks.shape[0]:
             _draw_slab(
                 tasks[t], windows, field, surfaces, water, view, scene, listed, lines, own_seen,
                 own_position, own_ids, picture,
             )  # fmt: skip
-            t = take_next(taken)
+            t = jit.take_next(taken)
         draw_lines(lines, 0, listed[0], 1, view, scene, picture)
     for band in prange(tiles_out.shape[1]):
-        resolve_band(np.int64(band), pictures, alpha_out)
+        line_raster.resolve_band(np.int64(band), pictures, alpha_out)
 
 
-@inlined_function
+@jit.inlined_function
 def _draw_slab(
     task, windows, field, surfaces, water, view, scene, listed, lines, seen_out, position_out,
     ids_out, picture,
@@ -266,10 +237,10 @@ def _draw_slab(
         if not _column_in_view(b, i, j, start, stop, lowest, highest, field, view):
             continue
         for k in range(k_first, k_last + 1):
-            cube = Cube(b, i, j, k)
-            key = cube_key(cube, field)
-            for n in range(drops_in_cube(key, b, field)):
-                word = drop_id(key, n)
+            cube = poisson_cells.Cube(b, i, j, k)
+            key = poisson_cells.cube_key(cube, field)
+            for n in range(poisson_cells.drops_in_cube(key, b, field)):
+                word = poisson_cells.drop_id(key, n)
                 if not may_land(word, cube, start, stop, lowest, highest, field, surfaces):
                     continue
                 fell, kind, row, column, x, y, z = landing(word, cube, start, stop, field, surfaces)
@@ -278,14 +249,16 @@ def _draw_slab(
                 under = water.film
                 if kind == GROUND:
                     under += water.ground[row, column]
-                diameter = drop_diameter(word, b, field)
-                impact = Impact(word, x, y, z, vx, vy, speed, diameter, under, view.time - fell)
+                diameter = poisson_cells.drop_diameter(word, b, field)
+                impact = splash.Impact(
+                    word, x, y, z, vx, vy, speed, diameter, under, view.time - fell
+                )
                 _draw_splash(
                     impact, view, scene, listed, lines, seen_out, position_out, ids_out, picture
                 )
 
 
-@inlined_function
+@jit.inlined_function
 def _column_in_view(size_class, i, j, start, stop, lowest, highest, field, view):
     """Tell whether splashes of a column of cubes may show; see `impacts.cubes_swept`."""
     side, middle, duration = field.cube[size_class], 0.5 * (start + stop), stop - start
@@ -303,7 +276,7 @@ def _column_in_view(size_class, i, j, start, stop, lowest, highest, field, view)
     return _ball_in_view(place, radius, view.planes)
 
 
-@lean_function
+@jit.lean_function
 def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids_out, picture):
     """List the lines of one impact, if they may show, and draw the list before it is full.
 
@@ -314,7 +287,7 @@ def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids
     if not _ball_in_view(place, _REACH, view.planes):
         return
     before = listed[0]
-    pixel = place[2] / max(view.lens[FX], view.lens[FY])
+    pixel = place[2] / max(view.lens[line_raster.FX], view.lens[line_raster.FY])
     list_splash(impact, pixel, view.exposure, listed, lines)
     if listed[0] == before:
         return
@@ -330,7 +303,7 @@ def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids
         listed[0] = 0
 
 
-@lean_function
+@jit.lean_function
 def list_splash(impact, pixel, exposure, count, lines_out):
     """Add the lines of one impact: droplets, crown and jet.
 
@@ -340,20 +313,22 @@ def list_splash(impact, pixel, exposure, count, lines_out):
         together share the pieces.
     """
     diameter, speed, age = impact.diameter, impact.speed, impact.age
-    if not splashes_on(impact.depth, diameter, speed):
+    if not splash.splashes_on(impact.depth, diameter, speed):
         return
-    size = relative_size(impact.depth / diameter)
-    fine = pixel < FINE_PIXEL and diameter * LARGEST_SHARE > least_seen(pixel, exposure)
-    if fine and -exposure <= age < longest_flight(speed):
-        most = int(droplets_of(diameter, speed))
-        for n in range(lane(), most, lanes()):
-            seen, x, y, z, vx, vy, vz, wide, _ = droplet(impact, n, most, size, exposure)
+    size = splash.relative_size(impact.depth / diameter)
+    fine = pixel < FINE_PIXEL and diameter * splash.LARGEST_SHARE > splash.least_seen(
+        pixel, exposure
+    )
+    if fine and -exposure <= age < splash.longest_flight(speed):
+        most = int(splash.droplets_of(diameter, speed))
+        for n in range(line_raster.lane(), most, line_raster.lanes()):
+            seen, x, y, z, vx, vy, vz, wide, _ = splash.droplet(impact, n, most, size, exposure)
             row = next_row(count) if seen else len(lines_out)
             if row < len(lines_out):
                 lines_out[row, 0], lines_out[row, 1], lines_out[row, 2] = x, y, z
                 lines_out[row, 3], lines_out[row, 4], lines_out[row, 5] = vx, vy, vz
                 lines_out[row, 6] = wide
-    if not impact.depth > WET_DEPTH:
+    if not impact.depth > splash.WET_DEPTH:
         return
     crown = crown_shape(impact, size, pixel)
     if age < crown.life:
@@ -362,7 +337,7 @@ def list_splash(impact, pixel, exposure, count, lines_out):
         raise_jet(impact, pixel, exposure, count, lines_out)
 
 
-@lean_function
+@jit.lean_function
 def _ball_in_view(place, radius, planes):
     """Tell whether a ball at a place of the camera frame may be in the picture."""
     return place[2] + radius >= _NEAREST and beside_planes(place, radius, planes)

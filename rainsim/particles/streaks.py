@@ -15,17 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim import jit
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import (
-    called_function,
-    cpu_kernel,
-    inlined_function,
-    lean_function,
-    none_taken,
-    prange,
-    set_threads,
-    take_next,
-)
+from rainsim.jit import prange
 from rainsim.numerics.random import uniform_triple
 from rainsim.particles.line_raster import (
     APERTURE,
@@ -54,17 +46,8 @@ from rainsim.particles.shutter_view import (
     step_from,
     to_camera,
 )
+from rainsim.rain import poisson_cells
 from rainsim.rain.heightfield import first_hit, flat_surfaces
-from rainsim.rain.poisson_cells import (
-    Cube,
-    cube_key,
-    drop_diameter,
-    drop_id,
-    drop_place,
-    drops_in_cube,
-    slab_tasks,
-    thinned_out,
-)
 from rainsim.scene.view import finest
 
 HIDDEN, PARTLY, CLEAR = 0, 1, 2  # of a path, by the depths of the tiles that it touches
@@ -122,8 +105,8 @@ def draw_streaks(
     air = seen_air(field, camera, view, far, aperture, focus)
     surfaces = _OPEN if surfaces is None else surfaces
     _draw_field(
-        slab_tasks(air.first, air.last), air, field.arrays(), surfaces.height_fields(), view,
-        more, depth, *drawing_buffers(depth.shape), alpha_out,
+        poisson_cells.slab_tasks(air.first, air.last), air, field.arrays(),
+        surfaces.height_fields(), view, more, depth, *drawing_buffers(depth.shape), alpha_out,
     )  # fmt: skip
 
 
@@ -143,7 +126,7 @@ def streak_reach(field, camera, exposure, far):
 # ---- kernels
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def _draw_field(
     tasks, air, field, surfaces, view, lines, depth, columns_out, tiles_out, pictures, alpha_out
 ):
@@ -156,41 +139,41 @@ def _draw_field(
     height, width = alpha_out.shape
     for band in prange(tiles_out.shape[1]):
         read_depth(np.int64(band), depth, columns_out, tiles_out)
-    taken = none_taken()
+    taken = jit.none_taken()
     for worker in prange(workers):
         scene, picture = SceneDepth(width, height, columns_out, tiles_out), pictures[worker]
         picture[:] = 0
         draw_lines(lines, worker, len(lines), workers, view, scene, picture)
-        t = take_next(taken)
+        t = jit.take_next(taken)
         while t < tasks.shape[0]:
             if air.far[tasks[t, 0]] > _NEAR:
                 _draw_slab(tasks[t, 0], tasks[t, 1], air, field, surfaces, view, scene, picture)
-            t = take_next(taken)
+            t = jit.take_next(taken)
     for band in prange(tiles_out.shape[1]):
         resolve_band(np.int64(band), pictures, alpha_out)
 
 
-@inlined_function
+@jit.inlined_function
 def _draw_slab(size_class, i, air, field, surfaces, view, scene, picture):
     """Draw the drops of the cubes of a class whose first number is i."""
     far, side = air.far[size_class], np.float32(field.cube[size_class])
     radius = cube_radius(size_class, field, view, air)
     for j in range(air.first[size_class, 1], air.last[size_class, 1] + 1):
         for k in range(air.first[size_class, 2], air.last[size_class, 2] + 1):
-            cube = Cube(size_class, i, j, k)
+            cube = poisson_cells.Cube(size_class, i, j, k)
             corner, corner_end = cube_corners(cube, field, view)
             if cube_in_view(corner, corner_end, side, radius, far, view):
                 _draw_cube(cube, corner, corner_end, far, field, surfaces, view, scene, picture)
 
 
-@inlined_function
+@jit.inlined_function
 def _draw_cube(cube, corner, corner_end, far, field, surfaces, view, scene, picture):
     """Draw the drops of a cube that may show, each as far as it gets."""
     b = cube.size_class
     vx, vy, vz = field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2]
-    key = cube_key(cube, field)
-    for n in range(drops_in_cube(key, b, field)):
-        word = drop_id(key, n)
+    key = poisson_cells.cube_key(cube, field)
+    for n in range(poisson_cells.drops_in_cube(key, b, field)):
+        word = poisson_cells.drop_id(key, n)
         x, y, z = drop_offset(word, cube, field)
         p, q, r = step_from(corner, view.axes, x, y, z)
         if not _NEAR <= r < far:
@@ -200,19 +183,19 @@ def _draw_cube(cube, corner, corner_end, far, field, surfaces, view, scene, pict
         shows = may_show(path, view.lens, scene)
         if shows == HIDDEN:
             continue
-        east, north, up = drop_place(word, cube, field)
-        if thinned_out(word, b, up, field):
+        east, north, up = poisson_cells.drop_place(word, cube, field)
+        if poisson_cells.thinned_out(word, b, up, field):
             continue
         stop, _, _, _ = first_hit(
             east, north, up, vx, vy, vz, -np.inf, view.time + view.exposure, surfaces
         )
         if stop > view.time:
             share = np.float32(min((stop - view.time) / view.exposure, 1.0))
-            diameter = np.float32(drop_diameter(word, b, field))
+            diameter = np.float32(poisson_cells.drop_diameter(word, b, field))
             draw_path(path, share, diameter, view.lens, scene, shows == CLEAR, picture)
 
 
-@inlined_function
+@jit.inlined_function
 def drop_offset(word, cube, field):
     """Return how far (x, y, z) [m] a drop is from its cube's low corner, float32.
 
@@ -222,7 +205,7 @@ def drop_offset(word, cube, field):
     return np.float32(ux * side), np.float32(uy * side), np.float32(uz * side)
 
 
-@called_function
+@jit.called_function
 def draw_lines(lines, first, end, step, view, scene, picture):
     """Draw every `step`-th row of `lines`, the columns of `Line`, from `first` on, up to `end`."""
     for d in range(first, end, step):
@@ -233,7 +216,7 @@ def draw_lines(lines, first, end, step, view, scene, picture):
         draw_line(line, view, scene, picture)
 
 
-@inlined_function
+@jit.inlined_function
 def draw_line(line, view, scene, picture):
     """Draw one drop, a `Line`, into a picture of optical depths."""
     x, y, z = to_camera(view.rotation, view.eye, line.x, line.y, line.z)
@@ -250,7 +233,7 @@ def draw_line(line, view, scene, picture):
         draw_path(path, ONE, diameter, view.lens, scene, shows == CLEAR, picture)
 
 
-@lean_function
+@jit.lean_function
 def may_show(path, lens, scene):
     """Tell whether a path's image may be in the picture: HIDDEN, PARTLY or CLEAR.
 
@@ -299,7 +282,7 @@ def drawing_buffers(shape):
         tiles : float32 array (2, rows, columns)
         pictures : int32 array (threads, height * width). Not blank.
     """
-    wanted = (set_threads(None), *shape)
+    wanted = (jit.set_threads(None), *shape)
     if getattr(_kept, "shape", None) != wanted:
         _kept.depth = np.empty(shape[0] * shape[1], np.float32)
         _kept.tiles = np.empty([2, *(-(-n // DEPTH_TILE) for n in shape)], np.float32)

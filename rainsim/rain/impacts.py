@@ -14,16 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.jit import cpu_kernel, inlined_function, lean_function, prange
+from rainsim.rain import poisson_cells
 from rainsim.rain.heightfield import BLOCK, first_hit, stopped_at
-from rainsim.rain.poisson_cells import (
-    Cube,
-    cube_key,
-    drop_diameter,
-    drop_id,
-    drop_place,
-    drops_in_cube,
-    thinned_out,
-)
 from rainsim.rain.size_distribution import drop_volume
 
 TIME_MARGIN = 1e-6  # s; hits are searched this far beyond an interval's ends, then cut exactly
@@ -139,7 +131,7 @@ def may_land(word, cube, start, stop, lowest, highest, field, surfaces):
     b, block = cube.size_class, surfaces.spacing * BLOCK
     low, high = surfaces.around_low, surfaces.around_high
     vx, vy, vz = field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2]
-    x, y, z = drop_place(word, cube, field)
+    x, y, z = poisson_cells.drop_place(word, cube, field)
     if z > highest or z < lowest:
         return False
     clear = False  # above all that stands around, when the interval begins
@@ -150,7 +142,7 @@ def may_land(word, cube, start, stop, lowest, highest, field, surfaces):
         if z + vz * stop > high[m, c] or z + vz * start < low[m, c]:
             return False
         clear = z + vz * start > high[m, c]
-    if thinned_out(word, b, z, field):
+    if poisson_cells.thinned_out(word, b, z, field):
         return False
     # Most drops that are not clear were stopped before: only the others are followed from the sky.
     return clear or not stopped_at(x + vx * start, y + vy * start, z + vz * start, surfaces)
@@ -167,7 +159,7 @@ def landing(word, cube, start, stop, field, surfaces):
     """
     b = cube.size_class
     vx, vy, vz = field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2]
-    x, y, z = drop_place(word, cube, field)
+    x, y, z = poisson_cells.drop_place(word, cube, field)
     time, kind, row, column = first_hit(
         x, y, z, vx, vy, vz, start - TIME_MARGIN, stop + TIME_MARGIN, surfaces
     )
@@ -203,10 +195,10 @@ def fill_impacts(
         for j in range(first[b, 1], last[b, 1] + 1):
             k_first, k_last, lowest, highest = cubes_swept(b, i, j, start, stop, field, surfaces)
             for k in range(k_first, k_last + 1):
-                cube = Cube(b, i, j, k)
-                key = cube_key(cube, field)
-                for n in range(drops_in_cube(key, b, field)):
-                    word = drop_id(key, n)
+                cube = poisson_cells.Cube(b, i, j, k)
+                key = poisson_cells.cube_key(cube, field)
+                for n in range(poisson_cells.drops_in_cube(key, b, field)):
+                    word = poisson_cells.drop_id(key, n)
                     if not may_land(word, cube, start, stop, lowest, highest, field, surfaces):
                         continue
                     time, kind, row, column, x, y, z = landing(
@@ -217,7 +209,7 @@ def fill_impacts(
                             out = offset[t] + found
                             values_out[out, 0], values_out[out, 1] = x, y
                             values_out[out, 2] = z
-                            values_out[out, 3] = drop_diameter(word, b, field)
+                            values_out[out, 3] = poisson_cells.drop_diameter(word, b, field)
                             values_out[out, 4] = time
                             labels_out[out, 0], labels_out[out, 1] = b, kind
                             labels_out[out, 2], labels_out[out, 3] = row, column

@@ -146,11 +146,6 @@ class RainSpectrum:
         self.fine_extinction = self.intercept * _moments(_shadow, law, fine_edges).sum()
 
     @property
-    def rate_mm_per_hour(self):
-        """The rate in mm/h, as given."""
-        return self.rate * 3.6e6
-
-    @property
     def class_decay(self):
         """Decay [1/m] of the diameters within each class, ndarray of shape (CLASSES,)."""
         return self.law.decay_within(self.edges[:-1], self.edges[1:])

@@ -12,46 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim import jit
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import (
-    TAKERS,
-    device_function,
-    inlined_function,
-    none_taken,
-    prange,
-    serial_kernel,
-    take_next,
-    thorough_kernel,
-)
+from rainsim.jit import prange
 from rainsim.numerics.mipmap import blurred_color
 from rainsim.numerics.pixel_batches import CHUNK, nearest
-from rainsim.reflection.facets import (
-    SAMPLES,
-    light_weight,
-    normal_of,
-    sample_slopes,
-    slope_samples,
-)
-from rainsim.reflection.mirrored_rays import (
-    ENVIRONMENT,
-    MIRROR,
-    SPREAD,
-    reflected_upwards,
-    sample_blur,
-)
-from rainsim.reflection.planar_mirror import (
-    HALVINGS,
-    STEPS,
-    MirrorPicture,
-    depth_gain,
-    guessed_share,
-    image_of,
-    is_behind,
-    is_met,
-    met_between,
-    step_share,
-    vanishing_point,
-)
+from rainsim.reflection import facets, mirrored_rays, planar_mirror
 from rainsim.reflection.water_record import read_record
 from rainsim.scene.view import View, project
 from rainsim.shading.wetting import FAR_AWAY
@@ -69,8 +35,10 @@ GROUP = 512  # records that a thread takes at a time
 NUMBERS = 26 * CHUNK
 
 
-@thorough_kernel
-def mirror_light(which, record, view: View, mirror: MirrorPicture, light_out, source_out):
+@jit.thorough_kernel
+def mirror_light(
+    which, record, view: View, mirror: planar_mirror.MirrorPicture, light_out, source_out
+):
     """Find the mirrored light of listed water in the picture that a mirrored camera took.
 
     which : int64 array (k,). Records that this mirror serves.
@@ -86,18 +54,18 @@ def mirror_light(which, record, view: View, mirror: MirrorPicture, light_out, so
     count = len(which)
     # Taken out of the bundle here: in the loop numba would count references at each use.
     picture, coarse, depth = mirror.picture, mirror.coarse, mirror.depth
-    taken = none_taken()
-    for _ in prange(TAKERS):
-        first = take_next(taken) * GROUP
+    taken = jit.none_taken()
+    for _ in prange(jit.TAKERS):
+        first = jit.take_next(taken) * GROUP
         while first < count:
             mirror_group(
                 which[first : min(first + GROUP, count)], record, view, picture, coarse, depth,
                 light_out, source_out,
             )  # fmt: skip
-            first = take_next(taken) * GROUP
+            first = jit.take_next(taken) * GROUP
 
 
-@device_function
+@jit.device_function
 def mirror_group(which, record, view, picture, coarse, depth, light_out, source_out):
     """Find the mirrored light of some of the listed water; see `mirror_light`."""
     s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
@@ -107,9 +75,9 @@ def mirror_group(which, record, view, picture, coarse, depth, light_out, source_
         n = which[k]
         light_out[n, 0], light_out[n, 1], light_out[n, 2] = ZERO, ZERO, ZERO
         sky = level_depth(record, n, view, depth) >= FAR_AWAY
-        source_out[n] = ENVIRONMENT if sky else MIRROR
+        source_out[n] = mirrored_rays.ENVIRONMENT if sky else mirrored_rays.MIRROR
         rays = add_rays(record, n, view, rays, s, owner)
-        if rays > CHUNK - SAMPLES or k == len(which) - 1:
+        if rays > CHUNK - facets.SAMPLES or k == len(which) - 1:
             bend(view, rays, s)
             march_rays(depth, rays, s, place, marched)
             for i in range(rays):
@@ -122,22 +90,24 @@ def mirror_group(which, record, view, picture, coarse, depth, light_out, source_
             rays = np.int64(0)
 
 
-@inlined_function
+@jit.inlined_function
 def add_rays(record, n, view, rays, s, owner):
     """Add the rays of record n to a chunk that has `rays`; return how many it has then."""
     water = read_record(record, n)
-    u, v, z = image_of(view, water.x, water.y, water.z)
-    samples, a, b, c = slope_samples(water)
+    u, v, z = planar_mirror.image_of(view, water.x, water.y, water.z)
+    samples, a, b, c = facets.slope_samples(water)
     blur = ZERO
     if samples > 1:
-        blur = sample_blur(view, water)
+        blur = mirrored_rays.sample_blur(view, water)
     total = ZERO
     for k in range(samples):
         i = rays + k
         s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = water.view_x, water.view_y, water.view_z
-        s[SLOPE_X + i], s[SLOPE_Y + i] = sample_slopes(water, SPREAD * a, SPREAD * b, SPREAD * c, k)
+        s[SLOPE_X + i], s[SLOPE_Y + i] = facets.sample_slopes(
+            water, mirrored_rays.SPREAD * a, mirrored_rays.SPREAD * b, mirrored_rays.SPREAD * c, k
+        )
         s[U + i], s[V + i], s[Z + i], s[BLUR + i] = u, v, z, blur
-        s[SHARE + i] = light_weight(water, a, b, c, k)
+        s[SHARE + i] = facets.light_weight(water, a, b, c, k)
         total += s[SHARE + i]
         owner[i] = n
     gain = ONE / total
@@ -146,7 +116,7 @@ def add_rays(record, n, view, rays, s, owner):
     return rays + samples
 
 
-@inlined_function
+@jit.inlined_function
 def level_depth(record, n, view, depth):
     """Return the depth [m] of the point that level water of record n would mirror."""
     water = read_record(record, n)
@@ -155,17 +125,19 @@ def level_depth(record, n, view, depth):
     return depth[min(max(int(v), 0), rows - 1), min(max(int(u), 0), columns - 1)]
 
 
-@serial_kernel
+@jit.serial_kernel
 def bend(view, n, s):
     """Find the way of n rays from their images to their vanishing points."""
     for i in range(n):
-        ux, uy, uz = normal_of(s[SLOPE_X + i], s[SLOPE_Y + i])
-        x, y, z = reflected_upwards(s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i], ux, uy, uz)
-        u, v = vanishing_point(view, x, y, z)
+        ux, uy, uz = facets.normal_of(s[SLOPE_X + i], s[SLOPE_Y + i])
+        x, y, z = mirrored_rays.reflected_upwards(
+            s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i], ux, uy, uz
+        )
+        u, v = planar_mirror.vanishing_point(view, x, y, z)
         s[DU + i], s[DV + i] = u - s[U + i], v - s[V + i]
 
 
-@inlined_function
+@jit.inlined_function
 def march_rays(depth, n, s, place, marched):
     """Find where n rays end, see `planar_mirror.march_mirror`."""
     nearest(depth, n, s, U, V, SURFACE, place)
@@ -185,13 +157,13 @@ def march_rays(depth, n, s, place, marched):
     for k in range(count):
         s[BEFORE + k], s[LAST + k], s[FREE + k] = s[FROM_Z + k], ZERO, ZERO
         s[HIGH + k], s[MET + k] = ZERO, ZERO
-    for k in range(STEPS):
-        share = step_share(k)
+    for k in range(planar_mirror.STEPS):
+        share = planar_mirror.step_share(k)
         step_to(share, count, s)
         nearest(depth, count, s, AT_U, AT_V, SURFACE, place)
         if check_step(share, count, s) == count:
             break
-    for _ in range(HALVINGS):
+    for _ in range(planar_mirror.HALVINGS):
         halve_to(count, s)
         nearest(depth, count, s, AT_U, AT_V, SURFACE, place)
         keep_half(count, s)
@@ -199,23 +171,23 @@ def march_rays(depth, n, s, place, marched):
         s[END + marched[k]] = s[HIGH + k] if s[MET + k] > ZERO else s[FREE + k]
 
 
-@serial_kernel
+@jit.serial_kernel
 def guess_ends(n, s):
     """End n rays where level water's would, first."""
     for i in range(n):
-        share = guessed_share(s[Z + i], s[SURFACE + i])
+        share = planar_mirror.guessed_share(s[Z + i], s[SURFACE + i])
         s[END + i] = share
         s[AT_U + i], s[AT_V + i] = s[U + i] + share * s[DU + i], s[V + i] + share * s[DV + i]
 
 
-@serial_kernel
+@jit.serial_kernel
 def check_guesses(n, s):
     """Mark which of n rays meet something where they were guessed to end."""
     for i in range(n):
-        s[MET + i] = ONE if is_met(s[Z + i], s[END + i], s[SURFACE + i]) else ZERO
+        s[MET + i] = ONE if planar_mirror.is_met(s[Z + i], s[END + i], s[SURFACE + i]) else ZERO
 
 
-@serial_kernel
+@jit.serial_kernel
 def step_to(share, n, s):
     """Take n rays to a share of their way."""
     for i in range(n):
@@ -223,17 +195,17 @@ def step_to(share, n, s):
         s[AT_V + i] = s[FROM_V + i] + share * s[WAY_V + i]
 
 
-@serial_kernel
+@jit.serial_kernel
 def check_step(share, n, s):
     """Mark which of n rays have met something since the last step; return how many have by now."""
     met = 0
-    gain = depth_gain(share)
+    gain = planar_mirror.depth_gain(share)
     for i in range(n):
         surface, before, last, free, high = (
             s[SURFACE + i], s[BEFORE + i], s[LAST + i], s[FREE + i], s[HIGH + i]
         )  # fmt: skip
         now, done = s[FROM_Z + i] * gain, s[MET + i] > ZERO
-        hit = met_between(before, now, surface)
+        hit = planar_mirror.met_between(before, now, surface)
         clear = (now < surface) & (not done)
         s[HIGH + i] = share if hit & (not done) else high
         s[FREE + i] = share if clear else free
@@ -244,7 +216,7 @@ def check_step(share, n, s):
     return met
 
 
-@serial_kernel
+@jit.serial_kernel
 def halve_to(n, s):
     """Take n rays to the middle of their last step."""
     for i in range(n):
@@ -253,11 +225,11 @@ def halve_to(n, s):
         s[AT_V + i] = s[FROM_V + i] + share * s[WAY_V + i]
 
 
-@serial_kernel
+@jit.serial_kernel
 def keep_half(n, s):
     """Keep the half of the last step in which a ray meets something."""
     for i in range(n):
         low, high = s[LAST + i], s[HIGH + i]
         middle = HALF * (low + high)
-        behind = is_behind(s[FROM_Z + i], middle, s[SURFACE + i])
+        behind = planar_mirror.is_behind(s[FROM_Z + i], middle, s[SURFACE + i])
         s[LAST + i], s[HIGH + i] = low if behind else middle, middle if behind else high

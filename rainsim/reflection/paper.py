@@ -16,20 +16,12 @@ from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, device_function, lean_function, prange, serial_kernel
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.interpolation import bilinear, bilinear_color
+from rainsim.reflection import water_shading
 from rainsim.reflection.facets import normal_of, view_cosine
 from rainsim.reflection.mirrored_rays import ENVIRONMENT, SCREEN, reflected_upwards
 from rainsim.reflection.ray_water import HIDE_HIGH, LEAST_DIP, meet_surface
 from rainsim.reflection.screen_space import surface_in_camera
 from rainsim.reflection.water_record import COVERAGE, read_record
-from rainsim.reflection.water_shading import (
-    ABSORB_B,
-    ABSORB_G,
-    ABSORB_R,
-    Background,
-    Optics,
-    refracted_to,
-    sun_glint,
-)
 from rainsim.reflection.water_surface import WaterMap
 from rainsim.scene.view import View, camera_component, in_camera, pixel_ray, project
 from rainsim.shading.environment import sample_environment
@@ -187,17 +179,22 @@ def paper_terms(water, row, column, background, view, optics, laws):
     share = reflectance(optics.law, cosine)
     u, v, travel = shifted(water, ux, uy, uz, view, row, column)
     if not laws.image_shift:
-        u, v, travel = refracted_to(water, ux, uy, uz, cosine, background.depth, view, row, column)
+        u, v, travel = water_shading.refracted_to(
+            water, ux, uy, uz, cosine, background.depth, view, row, column
+        )
     r, g, b = bilinear_color(background.below, u, v)
     glint, sun = ZERO, optics.sun
     if sun[3] + sun[4] + sun[5] > ZERO:
         if laws.phong:
             glint = share * phong_highlight(water, ux, uy, uz, sun[0], sun[1], sun[2])
         else:
-            glint = sun_glint(water, sun[0], sun[1], sun[2], optics.law, optics.glint_variance)
+            glint = water_shading.sun_glint(
+                water, sun[0], sun[1], sun[2], optics.law, optics.glint_variance
+            )
     return (
-        r * exp_minus(ABSORB_R * travel), g * exp_minus(ABSORB_G * travel),
-        b * exp_minus(ABSORB_B * travel), share, glint,
+        r * exp_minus(water_shading.ABSORB_R * travel),
+        g * exp_minus(water_shading.ABSORB_G * travel),
+        b * exp_minus(water_shading.ABSORB_B * travel), share, glint,
     )  # fmt: skip
 
 
@@ -224,8 +221,8 @@ def phong_highlight(water, ux, uy, uz, lx, ly, lz):
 
 @cpu_kernel
 def separate_paper_water(
-    pixel, record, background: Background, view: View, optics: Optics, laws: PaperLaws,
-    through_out, share_out, glint_out,
+    pixel, record, background: water_shading.Background, view: View, optics: water_shading.Optics,
+    laws: PaperLaws, through_out, share_out, glint_out,
 ):  # fmt: skip
     """Write the arrays of `water_shading.separate_water`, by the paper's laws."""
     width = background.depth.shape[1]

@@ -13,34 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim import jit
 from rainsim.constants import HALF, ONE, TWO, ZERO
-from rainsim.jit import (
-    cpu_kernel,
-    device_function,
-    inlined_function,
-    prange,
-    thorough_kernel,
-)
+from rainsim.jit import prange
 from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.interpolation import bilinear, bilinear_color, map_place, smoothstep
+from rainsim.reflection import water_record, wet_tops
 from rainsim.reflection.facets import normal_of, pixel_reflectance, view_cosine
 from rainsim.reflection.slope_moments import pixel_slopes, tile_height
-from rainsim.reflection.water_record import (
-    WaterPixel,
-    read_record,
-    with_slopes,
-    write_level,
-    write_slopes,
-)
 from rainsim.reflection.water_surface import BLOCK, WaterMap
-from rainsim.reflection.wet_tops import (
-    BOARD_RINGS,
-    FILM_SLOPE,
-    RING_HIGH,
-    RING_LOW,
-    TopMaps,
-    top_below,
-)
 from rainsim.scene.view import View, in_camera, pixel_ray
 from rainsim.shading.fresnel import REFRACTIVE_INDEX, reflectance
 from rainsim.water.ripples import LAYERS
@@ -86,7 +67,7 @@ class Optics(NamedTuple):
     bed_gain: np.float32 = ONE
 
 
-@inlined_function
+@jit.inlined_function
 def water_at(view, water_map, tops, row, column, t, coverage):
     """Return the `WaterPixel` whose ray meets the surface at view depth t [m], without ripples.
 
@@ -94,34 +75,37 @@ def water_at(view, water_map, tops, row, column, t, coverage):
     that are near take them.
     """
     water = surface_at(view, row, column, abs(t))
-    top, on_top, _, _, _ = top_below(tops, water.x, water.y, water.z)
+    top, on_top, _, _, _ = wet_tops.top_below(tops, water.x, water.y, water.z)
     u, v = map_place(water.x, water.y, water_map.origin, water_map.spacing)
     water_depth = bilinear(water_map.depth, u, v)
     share = smoothstep(RIPPLE_LOW, RIPPLE_HIGH, water_depth)
     share *= SHELTERED_SHARE + (ONE - SHELTERED_SHARE) * bilinear(water_map.rings, u, v)
     share *= bilinear(water_map.shores, (u + HALF) / CELLS - HALF, (v + HALF) / CELLS - HALF)
     if top >= 0:
-        water_depth, share = on_top, BOARD_RINGS * smoothstep(RING_LOW, RING_HIGH, on_top)
-    return WaterPixel(
+        water_depth, share = (
+            on_top,
+            wet_tops.BOARD_RINGS * smoothstep(wet_tops.RING_LOW, wet_tops.RING_HIGH, on_top),
+        )
+    return water_record.WaterPixel(
         water.x, water.y, water.z, water.view_x, water.view_y, water.view_z, abs(t), water_depth,
         coverage, share, ZERO, ZERO, ZERO, ZERO, ZERO, water.width,
     )  # fmt: skip
 
 
-@inlined_function
+@jit.inlined_function
 def surface_at(view, row, column, t):
     """Return the numbers of a `WaterPixel` that the camera decides; the others are zero."""
     x, y, z = pixel_ray(view, row, column)
     eye = view.eye
     length = math.sqrt(x * x + y * y + z * z)
     inv = ONE / length
-    return WaterPixel(
+    return water_record.WaterPixel(
         eye[0] + t * x, eye[1] + t * y, eye[2] + t * z, x * inv, y * inv, z * inv, t, ZERO, ZERO,
         ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, t * length / view.fx,
     )  # fmt: skip
 
 
-@inlined_function
+@jit.inlined_function
 def tilted(water, ripples, tops):
     """Return a `WaterPixel` with the ripples' slopes over its footprint on the surface.
 
@@ -134,14 +118,14 @@ def tilted(water, ripples, tops):
         a, b, aa, bb, ab = layered_slopes(water, ripples, x, y)
     square = share * share
     a, b, aa, bb, ab = share * a, share * b, square * aa, square * bb, square * ab
-    top, _, smooth, gx, gy = top_below(tops, water.x, water.y, water.z)
+    top, _, smooth, gx, gy = wet_tops.top_below(tops, water.x, water.y, water.z)
     if top >= 0:
-        film = (ONE - smooth) * FILM_SLOPE * FILM_SLOPE
+        film = (ONE - smooth) * wet_tops.FILM_SLOPE * wet_tops.FILM_SLOPE
         a, b, aa, bb = a + gx, b + gy, aa + film, bb + film
-    return with_slopes(water, a, b, aa, bb, ab)
+    return water_record.with_slopes(water, a, b, aa, bb, ab)
 
 
-@inlined_function
+@jit.inlined_function
 def risen(water, ripples):
     """Return where a pixel's ray meets the ripples, x and y, and not the level of the water.
 
@@ -162,7 +146,7 @@ def risen(water, ripples):
     return x, y
 
 
-@inlined_function
+@jit.inlined_function
 def layered_slopes(water, ripples, x, y):
     """Return the slopes of both layers of the tile at (x, y), as `pixel_slopes` returns one's.
 
@@ -186,7 +170,7 @@ def layered_slopes(water, ripples, x, y):
     return a, b, aa, bb, ab
 
 
-@inlined_function
+@jit.inlined_function
 def shade_water_pixel(water, row, column, light, background, view, optics):
     """Return the linear light of a pixel that shows water.
 
@@ -207,7 +191,7 @@ def shade_water_pixel(water, row, column, light, background, view, optics):
     )  # fmt: skip
 
 
-@inlined_function
+@jit.inlined_function
 def water_terms(water, row, column, background, view, optics):
     """Return the light that shows through a pixel of water (r, g, b), its reflectance and glint.
 
@@ -230,7 +214,7 @@ def water_terms(water, row, column, background, view, optics):
     )  # fmt: skip
 
 
-@inlined_function
+@jit.inlined_function
 def refracted_to(water, ux, uy, uz, cosine, depth, view, row, column):
     """Return the image point that the view ray, bent at the normal u, ends at on the bed.
 
@@ -248,7 +232,7 @@ def refracted_to(water, ux, uy, uz, cosine, depth, view, row, column):
     return u, v, path + water.water_depth
 
 
-@device_function
+@jit.device_function
 def refracted(vx, vy, vz, ux, uy, uz, cosine):
     """Return the direction v bent into water at the normal u (Snell); v.u = -cosine."""
     eta = ONE / REFRACTIVE_INDEX
@@ -256,7 +240,7 @@ def refracted(vx, vy, vz, ux, uy, uz, cosine):
     return eta * vx + bend * ux, eta * vy + bend * uy, eta * vz + bend * uz
 
 
-@inlined_function
+@jit.inlined_function
 def bed_seen_at(depth, view, x, y, z, u0, v0):
     """Return where the bed point at ground-frame offset (x, y, z) from the eye shows.
 
@@ -274,7 +258,7 @@ def bed_seen_at(depth, view, x, y, z, u0, v0):
     return u, v
 
 
-@device_function
+@jit.device_function
 def sun_glint(water, lx, ly, lz, law, glint_variance):
     """Return the radiance of the glint of a sun in direction l, over its irradiance.
 
@@ -298,10 +282,10 @@ def sun_glint(water, lx, ly, lz, law, glint_variance):
     return f * density / (np.float32(4) * max(-vz, np.float32(0.05)) * n4)
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def list_water(
-    hit, coverage, first, row_order, view: View, water_map: WaterMap, tops: TopMaps, pixel_out,
-    record_out,
+    hit, coverage, first, row_order, view: View, water_map: WaterMap, tops: wet_tops.TopMaps,
+    pixel_out, record_out,
 ):  # fmt: skip
     """Write the record of each pixel that water covers, row by row; its slopes are zero.
 
@@ -324,19 +308,21 @@ def list_water(
                 water = water_at(
                     view, water_map, tops, row, column, hit[row, column], coverage[row, column]
                 )
-                write_level(water, record_out[n])
+                water_record.write_level(water, record_out[n])
                 pixel_out[n] = row * width + column
                 n += 1
 
 
-@thorough_kernel
-def tilt_water(ripples: Ripples, tops: TopMaps, record_out):
+@jit.thorough_kernel
+def tilt_water(ripples: Ripples, tops: wet_tops.TopMaps, record_out):
     """Tilt the listed water by the ripples: modifies the slopes of `record_out` (n, RECORD)."""
     for n in prange(len(record_out)):
-        write_slopes(tilted(read_record(record_out, n), ripples, tops), record_out[n])
+        water_record.write_slopes(
+            tilted(water_record.read_record(record_out, n), ripples, tops), record_out[n]
+        )
 
 
-@thorough_kernel
+@jit.thorough_kernel
 def lay_water(
     pixel, record, light, background: Background, view: View, optics: Optics, picture_out
 ):
@@ -353,15 +339,15 @@ def lay_water(
     for n in prange(len(pixel)):
         row, column = pixel[n] // width, pixel[n] % width
         r, g, b = shade_water_pixel(
-            read_record(record, n), row, column, (light[n, 0], light[n, 1], light[n, 2]),
-            background, view, optics,
+            water_record.read_record(record, n), row, column,
+            (light[n, 0], light[n, 1], light[n, 2]), background, view, optics,
         )  # fmt: skip
         picture_out[row, column, 0] = r
         picture_out[row, column, 1] = g
         picture_out[row, column, 2] = b
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def separate_water(
     pixel, record, background: Background, view: View, optics: Optics, through_out, share_out,
     glint_out,
@@ -377,7 +363,7 @@ def separate_water(
     for n in prange(len(pixel)):
         row, column = pixel[n] // width, pixel[n] % width
         r, g, b, share, glint = water_terms(
-            read_record(record, n), row, column, background, view, optics
+            water_record.read_record(record, n), row, column, background, view, optics
         )
         through_out[n, 0], through_out[n, 1], through_out[n, 2] = r, g, b
         share_out[n] = share

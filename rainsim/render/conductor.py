@@ -28,13 +28,8 @@ from rainsim.render.layers import LAYER_PASSES
 from rainsim.render.wet_ground import WetGround
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.view import view_of
-from rainsim.shading import environment, sky
-from rainsim.shading.calibration import (
-    exposure_bias,
-    fixed_camera,
-    metered,
-    metering_views,
-)
+from rainsim.shading import calibration, environment, sky
+from rainsim.shading.calibration import metered
 from rainsim.shading.wet_ground_mirror import WetGroundMirror, mean_share
 from rainsim.simulation import tops_drawn, usual_wind
 from rainsim.water.ripples import ring_reach, ring_share, sheltered_rings, taller_rings
@@ -99,7 +94,7 @@ class Conductor:
         self._ringed = None, None  # shelters, and the rings that were last found for them
         terrain = with_footprints(tops_drawn(terrain, config), scene)
         self.cars = cars_of(terrain.footprints, config.render)
-        self._first_camera = fixed_camera(scene, terrain, config) or first_camera
+        self._first_camera = calibration.fixed_camera(scene, terrain, config) or first_camera
         self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
         light = self.wet_scene.sky
         self._sun, note = sky.sun_of(config.render.sun, light.day)
@@ -238,7 +233,7 @@ class Conductor:
         now = self.now = self.config.at(time)
         if now is not self._lit_for:  # without keyframes all frames have the same
             metered = math.exp(np.interp(time, *self._set_up["metered"]))
-            self.brightness = now.render.brightness * metered * 2 ** exposure_bias(now)
+            self.brightness = now.render.brightness * metered * 2 ** calibration.exposure_bias(now)
             self._sunlight = sky.sunlight(self._sun, now.render.cloudiness)
             self._lit_for = now
         self.wet_scene.set_time(now)
@@ -306,7 +301,7 @@ class Conductor:
         """Return the cameras of views by which the light of a run is chosen; no frame decides."""
         self.wet_scene.move_actors(None)
         self.wet_scene.take_tracks(NO_TRACKS)
-        return metering_views(self.wet_scene.scene.cameras, self._first_camera)
+        return calibration.metering_views(self.wet_scene.scene.cameras, self._first_camera)
 
     def _meter(self, _metering, _film):
         """Return the key times and the logarithms of the factors that a camera's meter chooses."""
@@ -322,7 +317,7 @@ class Conductor:
                 factors[k] = metered(*light, zenith, now.render.cloudiness)
         self.wet_scene.set_time(self.config.at(0.0))
         if (factors != 1).any():
-            bias = exposure_bias(self.config.at(0.0))
+            bias = calibration.exposure_bias(self.config.at(0.0))
             about = f", and {bias:+.2g} EV as it is wet" if bias else ""
             self.notes.append(f"exposure: the meter takes the light {factors[0]:.2f} times{about}")
         return times, np.log(factors)

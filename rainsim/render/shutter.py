@@ -14,29 +14,8 @@ TURNS_AT_ONCE = 64  # frames
 FASTEST_TURN = 2 * np.pi  # rad/s; and one that turns faster
 
 
-def shutter_end(cameras, index, exposure, fps):
-    """Return the camera of frame `index` as it is when the shutter closes, or None if it is still.
-
-    cameras : sequence of Camera. One per frame, in the ground frame, in metres;
-        one alone stands still.
-    index : int
-    exposure : float [s]. The shutter opens at the frame's time.
-    fps : float [1/s]
-    Returns Camera or None. On the way to the next frame's pose: the position in a
-        straight line, the turn about one axis, both even. The last frame goes on
-        as it came. None too where the next frame is a cut: faster than FASTEST or
-        FASTEST_TURN.
-    """
-    if len(cameras) < 2:
-        return None
-    motion, share = motion_to_next(cameras, index), exposure * fps
-    if _is_still(motion) or is_too_fast(motion, fps):
-        return None
-    return moved(cameras[index], share * motion[0], share * motion[1])
-
-
 def is_too_fast(motion, fps):
-    """Tell whether the motion from one frame to the next is a cut, see `shutter_end`."""
+    """Tell whether the motion from one frame to the next is a cut: too fast for a camera."""
     move, turn = motion
     return math.sqrt(move @ move) * fps > FASTEST or math.sqrt(turn @ turn) * fps > FASTEST_TURN
 
@@ -44,8 +23,7 @@ def is_too_fast(motion, fps):
 def next_camera(camera, camera_end, share):
     """Return a frame's camera at the time of the next frame, from where its shutter closes.
 
-    camera, camera_end : Camera. As the shutter opens and closes, see
-        `shutter_end`.
+    camera, camera_end : Camera. As the shutter opens and closes.
     share : float. The exposure over the time from frame to frame.
     """
     move, turn = motion_to_next([camera, camera_end], 0)
@@ -70,7 +48,13 @@ class PathMotion:
         self._share, self._kept = None, {}
 
     def end(self, index, exposure):
-        """Return the camera at the end of a frame's exposure, as `shutter_end` does.
+        """Return the camera at the end of a frame's exposure, or None if it is still.
+
+        index : int
+        exposure : float [s]. The shutter opens at the frame's time.
+        Returns Camera or None. On the way to the next frame's pose: the position in a straight
+            line, the turn about one axis, both even. The last frame goes on as it came. None too
+            where the next frame is a cut.
 
         The turns of many frames are computed at once: one by one they would take 0.1 ms of each.
         """

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from rainsim import __version__
+from rainsim import __version__, output_folder
 from rainsim.actors.motion import Motion
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
@@ -16,14 +16,6 @@ from rainsim.io.files import card_in, replacing, write_json
 from rainsim.io.fingerprint import fingerprint
 from rainsim.io.journal import Journal
 from rainsim.lod.held_parts import scene_in_reach
-from rainsim.output_folder import (
-    input_facts,
-    others_in,
-    remove_temporary,
-    scene_content,
-    settings_content,
-    versions,
-)
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.actor_labels import box_in_space
 from rainsim.render.weather import weather_of
@@ -59,7 +51,7 @@ class LidarFolder:
         self._journal = Journal(folder, JOURNAL, OURS.fullmatch)
         self._before, self._resumes = card_in(folder / CARD), resume
         if (overwrite or resume) and self._before is None:
-            if found := others_in(folder):
+            if found := output_folder.others_in(folder):
                 raise ParameterError(
                     f"output folder {folder} holds {found[0]} and no turns of a lidar; --overwrite "
                     "and --resume replace those only; give another --out"
@@ -86,7 +78,7 @@ class LidarFolder:
         for name in {*noted, *before.get("files", ())} - kept:
             if isinstance(name, str) and OURS.fullmatch(name):
                 (self.folder / name).unlink(missing_ok=True)
-        remove_temporary(self.folder)
+        output_folder.remove_temporary(self.folder)
         if self.kept:
             self._journal.begin_line()
         else:
@@ -152,7 +144,8 @@ def scan_rains(
     way = [_moved(pose, turn / lidar.rate).position for turn in range(turns + 1)]
     scanner = LidarScanner(_in_reach(scene, way, lidar, say), terrain, albedo)
     folder.begin({
-        "scene": scene_content(scene), "settings": settings_content(config), "rates": list(rates),
+        "scene": output_folder.scene_content(scene),
+        "settings": output_folder.settings_content(config), "rates": list(rates),
         "sensor": sensor, "kind": folder.kind, "turns": turns, "speed": speed, "height": height,
         "place": pose.position.tolist(), "turn": pose.rotation.tolist(),
     }, turns * len(rates))  # fmt: skip
@@ -187,7 +180,8 @@ def scan_rains(
     folder.write("poses.txt", "".join(lines).encode())
     card = {
         "command": ["rainsim", *sys.argv[1:]],
-        "versions": versions(), "input": input_facts(scene, folder.folder), "sensor": sensor,
+        "versions": output_folder.versions(),
+        "input": output_folder.input_facts(scene, folder.folder), "sensor": sensor,
         "channels": len(lidar.elevation), "columns": lidar.columns, "far_m": lidar.far,
         "turns_per_s": lidar.rate, "divergence_rad": lidar.divergence, "speed_m_per_s": speed,
         "labels": {str(k): name for k, name in LABEL_NAMES.items()},

@@ -14,20 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rainsim.rain.moving_surfaces import MovingSurfaces
+from rainsim.sensors import lidar_model
 from rainsim.sensors.actor_targets import ActorTarget
-from rainsim.sensors.lidar_model import (
-    KEPT,
-    LOST,
-    MIRRORED,
-    PASSED,
-    REFRACTIVE_INDEX,
-    SCATTERED,
-    WATER_ABSORPTION,
-    drop_reflectivity,
-    echo_power,
-    extinction_of,
-    fresnel_of,
-)
+from rainsim.sensors.lidar_model import PASSED
 from rainsim.sensors.near_drops import near_drops
 from rainsim.sensors.ray_traced import Tracer
 from rainsim.shading.color import LUMA, roughly_linear
@@ -146,7 +135,7 @@ class LidarScanner:
         direction = local @ pose.rotation.T
         origin = pose.position + when[:, None] * pose.velocity
         target = self.trace(origin, direction, 0.0, time + when)
-        alpha = 0.0 if field is None else extinction_of(field.spectrum)
+        alpha = 0.0 if field is None else lidar_model.extinction_of(field.spectrum)
         distance, reflectivity, mirrored, actor = self._behind_water(
             target, direction, time + when, alpha, state, damp
         )
@@ -156,24 +145,28 @@ class LidarScanner:
             there, reflectivity * np.exp(-2 * alpha * np.where(there, distance, 0)), 0
         )
         power = np.where(there, bright / np.where(there, distance, 1) ** 2, 0.0)
-        label = np.where(mirrored, MIRRORED, KEPT).astype(np.uint8)
-        label[power < lidar.least_power] = LOST
+        label = np.where(mirrored, lidar_model.MIRRORED, lidar_model.KEPT).astype(np.uint8)
+        label[power < lidar.least_power] = lidar_model.LOST
         if field is not None:
             drops = self._drops(lidar, pose, time, field)
             beam, place, diameter = drops_in_beams(lidar, pose, drops, local, when)
-            drop = drop_reflectivity(diameter, place, lidar.divergence)
-            echo = echo_power(drop, place, alpha)
+            drop = lidar_model.drop_reflectivity(diameter, place, lidar.divergence)
+            echo = lidar_model.echo_power(drop, place, alpha)
             # Drops behind what the beam meets are not there for it.
             loud = (place > lidar.near) & (place < target.distance[beam])
             loud &= (echo >= lidar.least_power) & (echo > power[beam])
             for k in np.flatnonzero(loud)[np.argsort(echo[loud], kind="stable")]:  # loudest last
-                distance[beam[k]], label[beam[k]], power[beam[k]] = place[k], SCATTERED, echo[k]
+                distance[beam[k]], label[beam[k]], power[beam[k]] = (
+                    place[k],
+                    lidar_model.SCATTERED,
+                    echo[k],
+                )
                 bright[beam[k]] = echo[k] * place[k] ** 2
-        label[(distance < lidar.near) & (label != SCATTERED)] = LOST
+        label[(distance < lidar.near) & (label != lidar_model.SCATTERED)] = lidar_model.LOST
         scan = _scan(lidar, local, when, label, distance, bright, power, clear, rng)
         if actor is None:
             return scan
-        shown = (label == KEPT) | (label == MIRRORED)
+        shown = (label == lidar_model.KEPT) | (label == lidar_model.MIRRORED)
         return replace(scan, actor=np.where(shown, actor, 0).astype(np.uint16))
 
     def _drops(self, lidar, pose, time, field):
@@ -210,18 +203,18 @@ class LidarScanner:
             return distance, reflectivity, mirrored, actor
         depths = state.depth[row, column][which].astype(np.float64)
         down = np.maximum(-direction[which, 2], 1e-3)
-        share, inner = fresnel_of(down)
+        share, inner = lidar_model.fresnel_of(down)
         # The bed's diffuse light leaves the water into a solid angle larger by the index squared.
-        through = (1 - share) ** 2 * np.exp(-2 * WATER_ABSORPTION * depths / inner)
-        reflectivity[which] *= through / REFRACTIVE_INDEX**2
+        through = (1 - share) ** 2 * np.exp(-2 * lidar_model.WATER_ABSORPTION * depths / inner)
+        reflectivity[which] *= through / lidar_model.REFRACTIVE_INDEX**2
         flipped = direction[which] * (1, 1, -1)
         begin = place[which].copy()
         begin[:, 2] = bed[which] + depths + LIFT
         other = self.trace(begin, flipped, distance[which], time[which])
         ghost = share**2 * other.reflectivity
         far = np.where(np.isfinite(other.distance), other.distance, FARTHEST)
-        own = echo_power(reflectivity[which], distance[which], alpha)
-        louder = echo_power(ghost, far, alpha) > own
+        own = lidar_model.echo_power(reflectivity[which], distance[which], alpha)
+        louder = lidar_model.echo_power(ghost, far, alpha) > own
         chosen = which[louder]
         distance[chosen], reflectivity[chosen] = far[louder], ghost[louder]
         mirrored[chosen] = True
@@ -276,11 +269,11 @@ def drops_in_beams(lidar, pose, drops, local, when):
 
 def _scan(lidar, local, when, label, distance, bright, power, clear, rng):
     """Return the `Scan` of echoes, with the noise of their ranges."""
-    back = label != LOST
+    back = label != lidar_model.LOST
     noise = np.zeros(len(local))
     signal = np.maximum(power / lidar.least_power, 1.0)
     noise[back] = rng.normal(size=back.sum()) * lidar.accuracy / np.sqrt(2 * signal[back])
-    noise[label == SCATTERED] = 0.0  # as LISA has it
+    noise[label == lidar_model.SCATTERED] = 0.0  # as LISA has it
     found = np.where(back, np.where(back, distance, 0) + noise, 0.0)
     return Scan(
         (local * found[:, None]).astype(np.float32), np.where(back, bright, 0).astype(np.float32),

@@ -6,15 +6,9 @@ from rainsim.constants import FAR_AWAY, ONE, ZERO
 from rainsim.jit import cpu_kernel, prange
 from rainsim.numerics.interpolation import map_place
 from rainsim.scene.view import View, column_slope, row_slope
+from rainsim.shading import surface_point
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
-from rainsim.shading.surface_point import (
-    GroundMaps,
-    ground_share,
-    heights_of,
-    layer_at,
-    seen_surface,
-)
 from rainsim.shading.wet_pass import DryPicture
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import wet_state, wetted_normal, with_normal
@@ -22,8 +16,8 @@ from rainsim.shading.wetting import wet_state, wetted_normal, with_normal
 
 @cpu_kernel
 def find_dampness(
-    depth, dry: DryPicture, look: Look, view: View, ground: GroundMaps, rain: OffGroundWetness,
-    damp_out,
+    depth, dry: DryPicture, look: Look, view: View, ground: surface_point.GroundMaps,
+    rain: OffGroundWetness, damp_out,
 ):  # fmt: skip
     """Write how wet each pixel's surface is by `wet_state`, at the place where it is wetted.
 
@@ -44,13 +38,13 @@ def find_dampness(
             if not depth[row, column] < FAR_AWAY:
                 continue
             alpha = dry.alpha[row, column]
-            _, _, _, _, _, point = seen_surface(
+            _, _, _, _, _, point = surface_point.seen_surface(
                 turn, eye, column_slope(view, column), row_slope(view, row),
                 (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
                 dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
             )  # fmt: skip
-            clearance, above = heights_of(point, True, ground)
-            if ground_share(clearance, point.nz, ZERO) < ONE:
+            clearance, above = surface_point.heights_of(point, True, ground)
+            if surface_point.ground_share(clearance, point.nz, ZERO) < ONE:
                 n0, n1, n2 = smooth_normal(
                     dry.depth, normal, row, column, height, width, view.fx, dry.around / unit
                 )
@@ -62,6 +56,8 @@ def find_dampness(
                 lean = wetted_normal(r, g, b, above, point, around, ground.thickest_layer)
                 point = with_normal(point, lean)
             u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-            level = ground_share(above, point.nz, layer_at(ground, u, v))
+            level = surface_point.ground_share(
+                above, point.nz, surface_point.layer_at(ground, u, v)
+            )
             wet = wet_state(point, clearance, above, level, ground, rain)
             damp_out[row, column] = wet.dampness

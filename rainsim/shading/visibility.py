@@ -22,12 +22,7 @@ from rainsim.scene.cameras import resize_to
 from rainsim.scene.view import lens_array
 from rainsim.shading.color import LUMA, LUMA_B, LUMA_G, LUMA_R, roughly_linear
 from rainsim.shading.grading import SKY_BLUE, SKY_DULL
-from rainsim.splatting.project import (
-    color_constant,
-    color_degree_1,
-    color_degree_2,
-    color_degree_3,
-)
+from rainsim.splatting import project
 
 MOST_CAMERAS = 64  # of the capture, evenly spaced, that are asked
 WIDTH = 320  # px of their depth pictures
@@ -170,13 +165,13 @@ def add_color(sh, x, y, z, total_out):
 @device_function
 def color_seen(sh, c, x, y, z):
     """Return channel c of a splat's colour, seen along the unit vector (x, y, z), at least 0."""
-    color = color_constant(sh[0, c])
+    color = project.color_constant(sh[0, c])
     if len(sh) >= 4:
-        color += color_degree_1(x, y, z, sh[1, c], sh[2, c], sh[3, c])
+        color += project.color_degree_1(x, y, z, sh[1, c], sh[2, c], sh[3, c])
     if len(sh) >= 9:
-        color += color_degree_2(x, y, z, sh[4, c], sh[5, c], sh[6, c], sh[7, c], sh[8, c])
+        color += project.color_degree_2(x, y, z, sh[4, c], sh[5, c], sh[6, c], sh[7, c], sh[8, c])
     if len(sh) >= 16:
-        color += color_degree_3(
+        color += project.color_degree_3(
             x, y, z, sh[9, c], sh[10, c], sh[11, c], sh[12, c], sh[13, c], sh[14, c], sh[15, c]
         )
     return max(color, ZERO)

@@ -21,30 +21,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim import jit
 from rainsim.constants import HALF, ONE, TWO, ZERO
-from rainsim.jit import (
-    TAKERS,
-    cpu_kernel,
-    inlined_function,
-    lean_function,
-    none_taken,
-    prange,
-    take_next,
-)
+from rainsim.jit import prange
 from rainsim.numerics.interpolation import four_colors
 from rainsim.numerics.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.raster import select
 from rainsim.scene.types import Camera, pose_at
 from rainsim.scene.view import View, kept_for_lens, pixel_ray, rays
+from rainsim.shading import lamp_images
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import LAWS
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met, ground_slopes
-from rainsim.shading.lamp_images import (
-    LampView,
-    add_lamps,
-    lamps_seen,
-    without_lamps,
-)
+from rainsim.shading.lamp_images import lamps_seen
 from rainsim.shading.microfacet import LEAST_DIP, LOBE, SAMPLES, ground_reflectance, lobe_part
 from rainsim.splatting.detail import merge_fine
 
@@ -147,7 +136,7 @@ def _edge_rays(camera):
     return rays(camera, _EDGES[0] * camera.width, _EDGES[1] * camera.height).T
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def mirrored_field(
     view: View, step, wanted, ground: GroundSlopes, lobe, level: LevelPicture, environment,
     field_out,
@@ -166,9 +155,9 @@ def mirrored_field(
     field_out : float32 array (rows, columns, 3). Radiance; zero where not wanted.
     """
     rows, columns = wanted.shape
-    taken = none_taken()
-    for _ in prange(TAKERS):
-        j = take_next(taken)
+    taken = jit.none_taken()
+    for _ in prange(jit.TAKERS):
+        j = jit.take_next(taken)
         while j < rows:
             for i in range(columns):
                 field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = ZERO, ZERO, ZERO
@@ -176,10 +165,10 @@ def mirrored_field(
                     x, y, z = block_ray(view, step, j, i)
                     r, g, b = mirrored_light(x, y, z, view.eye, ground, lobe, level, environment)
                     field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = r, g, b
-            j = take_next(taken)
+            j = jit.take_next(taken)
 
 
-@inlined_function
+@jit.inlined_function
 def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
     """Return the radiance that a water film on the ground mirrors to the eye.
 
@@ -242,7 +231,7 @@ def mirrored_light(x, y, z, eye, ground, lobe, level, environment):
     return r, gr, b
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def add_reflection(bare, cover, field, step, picture_out):
     """Add the light that wet ground mirrors to a picture without it.
 
@@ -255,9 +244,9 @@ def add_reflection(bare, cover, field, step, picture_out):
     """
     height, width = cover.shape
     scale = ONE / np.float32(step)
-    taken = none_taken()
-    for _ in prange(TAKERS):
-        row = take_next(taken)
+    taken = jit.none_taken()
+    for _ in prange(jit.TAKERS):
+        row = jit.take_next(taken)
         while row < height:
             for column in range(width):
                 share = cover[row, column]
@@ -268,10 +257,10 @@ def add_reflection(bare, cover, field, step, picture_out):
                     picture_out[row, column, 0] += share * r
                     picture_out[row, column, 1] += share * g
                     picture_out[row, column, 2] += share * b
-            row = take_next(taken)
+            row = jit.take_next(taken)
 
 
-@inlined_function
+@jit.inlined_function
 def field_at(field, scale, row, column):
     """Return the light of a field at a pixel, interpolated; `scale` is one over its step."""
     rows, columns = field.shape[0], field.shape[1]
@@ -362,8 +351,8 @@ class WetGroundMirror:
         field = np.empty((*wanted.shape, 3), np.float32)
         mirrored_field(view, step, wanted, self.ground, LOBE, level, environment, field)
         if len(lamps):
-            shown = LampView(lamps, level.depth, level.lens, level.forward)
-            add_lamps(view, step, wanted, self.ground, shown, field)
+            shown = lamp_images.LampView(lamps, level.depth, level.lens, level.forward)
+            lamp_images.add_lamps(view, step, wanted, self.ground, shown, field)
         return field, step
 
     @property
@@ -380,7 +369,7 @@ def _level_picture(camera, draw_mirrored):
     """Return the `LevelPicture` of a camera, and its lamps."""
     upright = level_camera(camera)
     seen, lamps = lamps_seen(upright, draw_mirrored)
-    picture = without_lamps(seen.picture) if len(lamps) else seen.picture
+    picture = lamp_images.without_lamps(seen.picture) if len(lamps) else seen.picture
     level = LevelPicture(
         ripmap(picture, round(upright.cy)), seen.depth, seen.view.lens,
         upright.forward[:2].astype(np.float32),
@@ -388,7 +377,7 @@ def _level_picture(camera, draw_mirrored):
     return level, lamps
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def wet_blocks(cover, step, wanted_out):
     """Find the blocks of `step` pixels that show wet ground or have a neighbour that does.
 
@@ -410,7 +399,7 @@ def wet_blocks(cover, step, wanted_out):
             before = here
 
 
-@inlined_function
+@jit.inlined_function
 def has_cover(cover, first, end, left, right):
     """Return whether a part of a picture, rows `first` to `end`, shows wet ground."""
     for row in range(first, end):
@@ -437,7 +426,7 @@ def usual_shares():
     return share
 
 
-@lean_function
+@jit.lean_function
 def usual_share(table, x, y, z):
     """Return about which share of light a full film mirrors that is seen along (x, y, z)."""
     dip = min(max(-z / math.sqrt(x * x + y * y), LEAST_DIP), STEEPEST_DIP)
@@ -446,7 +435,7 @@ def usual_share(table, x, y, z):
     return table[i] + (table[i + 1] - table[i]) * (at - np.float32(i))
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def reflected_share(cover, view: View, table, total_out):
     """Sum the shares of light that wet ground mirrors, of every eighth pixel of every eighth row.
 

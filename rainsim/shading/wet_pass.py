@@ -17,21 +17,9 @@ from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, s
 from rainsim.numerics.interpolation import is_on_map, map_place
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.scene.view import View, column_slope, row_slope
+from rainsim.shading import smooth_normals, wetting
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
 from rainsim.shading.grading import Look, surface_color
-from rainsim.shading.smooth_normals import (
-    AROUND,
-    EACH,
-    NO_AROUND,
-    SAMPLES,
-    STEPS,
-    likeness,
-    sample,
-    sharpness,
-    step_of,
-    turn_of,
-    turned,
-)
 from rainsim.shading.surface_point import (
     GroundMaps,
     SurfacePoint,
@@ -41,15 +29,6 @@ from rainsim.shading.surface_point import (
     seen_surface,
 )
 from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
-from rainsim.shading.wetting import (
-    LEAST_SKY,
-    SkyMaps,
-    glossed,
-    mirror_cover,
-    rainy_color,
-    wet_state,
-    wetted_normal,
-)
 
 # Rows of a chunk's numbers. The dry pixel: colour, alpha, distances along the view axis [m] to the
 # mean and to the plane of its splats, normal (camera frame).
@@ -92,13 +71,14 @@ def dry_picture(layers, meters_per_unit, mirrored=False, layer=ZERO):
     """
     return DryPicture(
         layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
-        np.float32(meters_per_unit), NO_AROUND if mirrored else max(AROUND, np.float32(layer)),
+        np.float32(meters_per_unit),
+        smooth_normals.NO_AROUND if mirrored else max(smooth_normals.AROUND, np.float32(layer)),
     )  # fmt: skip
 
 
 @cpu_kernel
 def grade_and_wet(
-    dry: DryPicture, view: View, ground: GroundMaps, rain: OffGroundWetness, sky: SkyMaps,
+    dry: DryPicture, view: View, ground: GroundMaps, rain: OffGroundWetness, sky: wetting.SkyMaps,
     look: Look, picture_out, depth_out, clearance_out, cover_out,
 ):  # fmt: skip
     """Grade the dry picture, wet it, and measure it against the ground.
@@ -193,7 +173,10 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 @inlined_function
 def locate(view, b, left, n, ground, s):
     """Find where in the ground frame each pixel of a row at slope b is."""
-    turn, eye = turn_of(view.ground_from_camera), (view.eye[0], view.eye[1], view.eye[2])
+    turn, eye = (
+        smooth_normals.turn_of(view.ground_from_camera),
+        (view.eye[0], view.eye[1], view.eye[2]),
+    )
     for i in range(n):
         x, y, z, depth, cosine, point = seen_surface(
             turn, eye, column_slope(view, left + i), b,
@@ -229,27 +212,30 @@ def take_normals_around(dry, normals, view, row, left, n, layer, s, step):
 
     In vectors what `smooth_normal` and `wetted_normal` do. `step` has room for a number a pixel.
     """
-    turn, focal = turn_of(view.ground_from_camera), view.fx
+    turn, focal = smooth_normals.turn_of(view.ground_from_camera), view.fx
     radius = dry.around / dry.meters_per_unit
     found = 0
     for i in range(n):
         level = ground_share(s[CLEARANCE + i], s[UPNESS + i], ZERO)
         here = dry.depth[row, left + i]
         shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (level < ONE)
-        which = step_of(focal, radius, here)
-        s[GLOSS + i], s[THROUGH + i] = here, sharpness(focal, which, here)
+        which = smooth_normals.step_of(focal, radius, here)
+        s[GLOSS + i], s[THROUGH + i] = here, smooth_normals.sharpness(focal, which, here)
         step[i] = np.uint32(1 << which) if shown else np.uint32(0)
     for i in range(n):
         found |= np.int64(step[i])
-    for k in range(STEPS):
+    for k in range(smooth_normals.STEPS):
         if found >> k & 1:
             add_around(dry.depth, normals, row, left, n, k, s)
             for i in range(n):
                 if step[i] == np.uint32(1 << k):
-                    around = turned(
-                        turn, EACH * s[SMOOTH + i], EACH * s[ACROSS + i], EACH * s[DOWN + i]
+                    around = smooth_normals.turned(
+                        turn,
+                        smooth_normals.EACH * s[SMOOTH + i],
+                        smooth_normals.EACH * s[ACROSS + i],
+                        smooth_normals.EACH * s[DOWN + i],
                     )
-                    a, b, c = wetted_normal(
+                    a, b, c = wetting.wetted_normal(
                         s[RED + i], s[GREEN + i], s[BLUE + i], s[HEIGHT + i],
                         surface_point(s, i), around, layer,
                     )  # fmt: skip
@@ -266,8 +252,8 @@ def add_around(depths, normals, row, left, n, step, s):
     rows, columns = depths.shape
     for i in range(n):
         s[SMOOTH + i], s[ACROSS + i], s[DOWN + i] = ZERO, ZERO, ZERO
-    for k in range(SAMPLES):
-        across, down = sample(k, step)
+    for k in range(smooth_normals.SAMPLES):
+        across, down = smooth_normals.sample(k, step)
         v = min(max(row + down, 0), rows - 1)
         # Beyond the picture's sides the pixels at its edge count.
         first = min(max(left + across, 0), columns)
@@ -286,7 +272,9 @@ def add_normals(depth, normal, first, n, s):
     """Add n normals of a row to the sums of the pixels from `first` on, weighted by like depth."""
     for i in range(np.uint64(n)):
         k = np.uint64(first) + i
-        weight = likeness(depth[i], s[np.uint64(GLOSS) + k], s[np.uint64(THROUGH) + k])
+        weight = smooth_normals.likeness(
+            depth[i], s[np.uint64(GLOSS) + k], s[np.uint64(THROUGH) + k]
+        )
         s[np.uint64(SMOOTH) + k] += weight * normal[np.uint64(3) * i]
         s[np.uint64(ACROSS) + k] += weight * normal[np.uint64(3) * i + np.uint64(1)]
         s[np.uint64(DOWN) + k] += weight * normal[np.uint64(3) * i + np.uint64(2)]
@@ -309,7 +297,7 @@ def find_levels(ground, n, s):
 def find_wetness(ground, rain, n, s):
     """Find how wet each pixel's surface is: `wet_state` in vectors."""
     for i in range(n):
-        wet = wet_state(
+        wet = wetting.wet_state(
             surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], ground, rain
         )
         store_wetness(wet, s, WETNESS + i, CHUNK)
@@ -327,7 +315,7 @@ def surface_point(s, i):
 def color_pixels(look, mirror_apart, n, s):
     """Grade and wet the colours of n pixels."""
     for i in range(n):
-        r, g, b, gloss, through, smooth = rainy_color(
+        r, g, b, gloss, through, smooth = wetting.rainy_color(
             s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[VIEW_Z + i], s[COSINE + i],
             s[UPNESS + i], s[HEIGHT + i], s[LEVEL + i], stored_wetness(s, WETNESS + i, CHUNK), look,
         )  # fmt: skip
@@ -340,10 +328,10 @@ def color_pixels(look, mirror_apart, n, s):
 def add_surroundings(sky, n, s, glossy, open_):
     """Add the mirrored surroundings, and the sky that is seen behind the scene."""
     gloss = list_above(s, GLOSS, n, ZERO, glossy)
-    through = list_above(s, THROUGH, n, LEAST_SKY, open_)
+    through = list_above(s, THROUGH, n, wetting.LEAST_SKY, open_)
     if gloss > 0:
         for i in range(n):
-            x, y, z = glossed(
+            x, y, z = wetting.glossed(
                 s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i], s[COSINE + i], s[LEAN_X + i],
                 s[LEAN_Y + i], s[UPNESS + i], s[SMOOTH + i],
             )  # fmt: skip
@@ -403,7 +391,7 @@ def write_cover(ground, look, n, s, cover_out):
     for i in range(n):
         cover_out[i] = ZERO
         if s[LEVEL + i] > ZERO:
-            cover_out[i] = mirror_cover(
+            cover_out[i] = wetting.mirror_cover(
                 surface_point(s, i), s[CLEARANCE + i], s[LEVEL + i],
                 stored_wetness(s, WETNESS + i, CHUNK), ground, look,
             )  # fmt: skip

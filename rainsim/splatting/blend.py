@@ -6,16 +6,9 @@ import math
 
 import numpy as np
 
+from rainsim import jit
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import (
-    TAKERS,
-    device_function,
-    inlined_function,
-    none_taken,
-    prange,
-    take_next,
-    thorough_kernel,
-)
+from rainsim.jit import prange
 from rainsim.splatting.lanes import CHANNELS, LANES, blend_lanes, meets_blocks, prefetch, put_chosen
 from rainsim.splatting.project import R_DEPTH, TILE
 from rainsim.splatting.tiles import DIGITS, RECORD_MASK, sort_keys
@@ -43,7 +36,7 @@ BLOCK_NUMBERS = np.uint64(CHANNELS * LANES)
 NOWHERE = np.float32(np.inf)
 
 
-@device_function
+@jit.device_function
 def deal(entry, record, begin, end, left, top, is_open, bits, number, chosen_out, count_out):
     """Put each entry's record into the list of every open block of the tile that it can reach."""
     x, y = np.float32(left + SIDE // 2), np.float32(top + SIDE // 2)
@@ -62,7 +55,7 @@ def deal(entry, record, begin, end, left, top, is_open, bits, number, chosen_out
         count_out[block] = n
 
 
-@thorough_kernel
+@jit.thorough_kernel
 def blend_tiles(
     record, entry, start, height, width, lens, orthographic, background, halfway, drop_last,
     color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
@@ -78,19 +71,19 @@ def blend_tiles(
     longest = 0
     for tile in range(tiles):
         longest = max(longest, start[tile + 1] - start[tile])
-    taken = none_taken()
-    for _ in prange(TAKERS):
-        row = take_next(taken)
+    taken = jit.none_taken()
+    for _ in prange(jit.TAKERS):
+        row = jit.take_next(taken)
         while row * across < tiles:
             blend_row(
                 record, entry, start, row * across, longest, height, width, lens, orthographic,
                 background, halfway, drop_last,
                 color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
             )  # fmt: skip
-            row = take_next(taken)
+            row = jit.take_next(taken)
 
 
-@device_function
+@jit.device_function
 def blend_row(
     record, entry, start, first, longest, height, width, lens, orthographic, background, halfway,
     drop_last, color_out, alpha_out, depth_out, plane_out, normal_out, half_out,
@@ -145,7 +138,7 @@ def blend_row(
         )  # fmt: skip
 
 
-@inlined_function
+@jit.inlined_function
 def finish_pixel(alpha, z, nx, ny, nz, distance, a, b, orthographic, median):
     """Turn a pixel's blended sums into depth, unit normal (3) and plane depth.
 
@@ -167,7 +160,7 @@ def finish_pixel(alpha, z, nx, ny, nz, distance, a, b, orthographic, median):
     )  # fmt: skip
 
 
-@device_function
+@jit.device_function
 def write_halves(state, record, top, left, height, width, half_out):
     """Write which records stop half of the light; put their depths in the depth rows."""
     bits = state.view(np.uint32)
@@ -182,7 +175,7 @@ def write_halves(state, record, top, left, height, width, half_out):
                 half_out[row * width + column] = number
 
 
-@device_function
+@jit.device_function
 def finish_block(rows, x, y, lens, orthographic, background, halfway):
     """Turn the blended sums of a block's pixels into colours, depths and unit normals; in place.
 
@@ -209,7 +202,7 @@ def finish_block(rows, x, y, lens, orthographic, background, halfway):
         rows[5 * LANES + i], rows[6 * LANES + i], rows[7 * LANES + i] = n0, n1, n2
 
 
-@device_function
+@jit.device_function
 def write_tile(
     state, top, left, height, width, lens, orthographic, background, halfway,
     color_out, alpha_out, depth_out, plane_out, normal_out,

@@ -10,17 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.jit import cgutils, intrinsic, ir, types
-from rainsim.splatting.project import (
-    BLOCK_HALF,
-    MIN_ALPHA_LOG2,
-    R_COLOR,
-    R_CONIC,
-    R_LEVEL,
-    R_REACH,
-    R_U,
-    R_V,
-    RECORD,
-)
+from rainsim.splatting import project
 
 LANES = 16
 CHANNELS = 9  # transmittance; colour (3), depth, normal (3), plane distance
@@ -69,7 +59,7 @@ class _Tools:
 
     def read(self, splat):
         """Let `spread` read the record number `splat`."""
-        self.base = self.builder.mul(splat, ir.Constant(_int, RECORD))
+        self.base = self.builder.mul(splat, ir.Constant(_int, project.RECORD))
 
     def add(self, a, b):
         return self.builder.fadd(a, b, flags=FLAGS)
@@ -115,10 +105,12 @@ class _Tools:
     def alpha(self, px, py):
         """The opacities of the splat at sixteen pixels; 0 where they are below the least."""
         add, sub, mul, spread = self.add, self.sub, self.mul, self.spread
-        dx, dy = sub(px, spread(R_U)), sub(py, spread(R_V))
-        along = mul(dx, add(mul(spread(R_CONIC), dx), mul(spread(R_CONIC + 1), dy)))
-        power = sub(sub(spread(R_LEVEL), along), mul(spread(R_CONIC + 2), mul(dy, dy)))
-        above = self.builder.fcmp_ordered(">=", power, _constant(MIN_ALPHA_LOG2 / 8))
+        dx, dy = sub(px, spread(project.R_U)), sub(py, spread(project.R_V))
+        along = mul(dx, add(mul(spread(project.R_CONIC), dx), mul(spread(project.R_CONIC + 1), dy)))
+        power = sub(
+            sub(spread(project.R_LEVEL), along), mul(spread(project.R_CONIC + 2), mul(dy, dy))
+        )
+        above = self.builder.fcmp_ordered(">=", power, _constant(project.MIN_ALPHA_LOG2 / 8))
         e = _constant(EXP2[-1])  # below the threshold this may be anything: it is not selected
         for c in EXP2[-2::-1]:
             e = add(mul(e, power), _constant(c))
@@ -158,7 +150,9 @@ class _Tools:
             if c == DEPTH_ROW and find_half:
                 after.append(self.half_mark(rows[0], clear, splat, rows[c]))
             else:
-                after.append(self.add(rows[c], self.mul(weight, self.spread(R_COLOR - 1 + c))))
+                after.append(
+                    self.add(rows[c], self.mul(weight, self.spread(project.R_COLOR - 1 + c)))
+                )
         return after
 
 
@@ -180,17 +174,19 @@ def meets_blocks(typingctx, record, splat, x, y):
         tools.read(arguments[1])
         add, sub, mul, spread = tools.add, tools.sub, tools.mul, tools.spread
         right, down = _offsets(4)
-        dx = sub(add(tools.copies(arguments[2]), right), spread(R_U))
-        dy = sub(add(tools.copies(arguments[3]), down), spread(R_V))
-        cross = mul(spread(R_CONIC + 1), _constant(0.5))
+        dx = sub(add(tools.copies(arguments[2]), right), spread(project.R_U))
+        dy = sub(add(tools.copies(arguments[3]), down), spread(project.R_V))
+        cross = mul(spread(project.R_CONIC + 1), _constant(0.5))
         # Half the gradient of the exponent; the line across it is what may part block and ellipse.
-        gx = add(mul(spread(R_CONIC), dx), mul(cross, dy))
-        gy = add(mul(cross, dx), mul(spread(R_CONIC + 2), dy))
+        gx = add(mul(spread(project.R_CONIC), dx), mul(cross, dy))
+        gy = add(mul(cross, dx), mul(spread(project.R_CONIC + 2), dy))
         exponent = add(mul(dx, gx), mul(dy, gy))
-        support = mul(add(tools.size(gx), tools.size(gy)), _constant(BLOCK_HALF))
+        support = mul(add(tools.size(gx), tools.size(gy)), _constant(project.BLOCK_HALF))
         beyond = sub(exponent, support)
         within = builder.fcmp_ordered("<=", beyond, _constant(0))
-        near = builder.fcmp_ordered("<=", mul(beyond, beyond), mul(spread(R_REACH), exponent))
+        near = builder.fcmp_ordered(
+            "<=", mul(beyond, beyond), mul(spread(project.R_REACH), exponent)
+        )
         return builder.zext(tools.bits(builder.or_(within, near)), _int)
 
     return types.int64(record, splat, x, y), codegen
@@ -202,7 +198,7 @@ def prefetch(typingctx, record, splat):
 
     def codegen(context, builder, signature, arguments):
         record = _data(context, builder, signature, arguments, 0)
-        place = builder.gep(record, [builder.mul(arguments[1], ir.Constant(_int, RECORD))])
+        place = builder.gep(record, [builder.mul(arguments[1], ir.Constant(_int, project.RECORD))])
         byte = ir.IntType(8).as_pointer()
         function = cgutils.get_or_insert_function(
             builder.module,

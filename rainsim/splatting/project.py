@@ -7,16 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim import jit
 from rainsim.constants import FOUR, HALF, ONE, SH_0, SH_1, SH_2, SH_3, THREE, TWO, ZERO
-from rainsim.jit import (
-    TAKERS,
-    cpu_kernel,
-    device_function,
-    inlined_function,
-    none_taken,
-    prange,
-    take_next,
-)
+from rainsim.jit import prange
 from rainsim.splatting.prepared import LANES, OPACITY
 
 BAND = 3 * LANES  # numbers of a chunk from one coefficient of a channel to the next
@@ -121,7 +114,7 @@ class Lens(NamedTuple):
     orthographic: bool
 
 
-@device_function
+@jit.device_function
 def chunk_is_out(box, frustum):
     """Return whether no splat of the chunk's box can touch the picture; False if in doubt."""
     view, lens, size, near, plane, orthographic = frustum
@@ -154,7 +147,7 @@ def chunk_is_out(box, frustum):
     return beside0 == corners or beside1 == corners or beside2 == corners or beside3 == corners
 
 
-@inlined_function
+@jit.inlined_function
 def project_splat(position, covariance, pose, lens):
     """Project one splat.
 
@@ -198,14 +191,14 @@ def project_splat(position, covariance, pose, lens):
     return x, y, z, u, v, conic_a, conic_b, conic_c, m00, m11, determinant, spread
 
 
-@inlined_function
+@jit.inlined_function
 def half_extents(level, m00, m11):
     """Return how far [px] a splat of log2 opacity `level` reaches along each axis."""
     reach = TWO_LN2 * max(level - MIN_ALPHA_LOG2, ZERO)  # -2 ln(1/255 / opacity)
     return math.sqrt(reach * m00), math.sqrt(reach * m11)
 
 
-@inlined_function
+@jit.inlined_function
 def compensation(spread, determinant):
     """Return the term of Mip-Splatting (Yu et al. 2024, eq. 9) for a splat's log2 opacity.
 
@@ -214,19 +207,19 @@ def compensation(spread, determinant):
     return HALF * math.log2(max(spread, ZERO) / determinant)
 
 
-@inlined_function
+@jit.inlined_function
 def color_constant(s0):
     """Return a channel's colour of degree 0 from its coefficient."""
     return SH0 * s0 + HALF
 
 
-@inlined_function
+@jit.inlined_function
 def color_degree_1(x, y, z, s1, s2, s3):
     """Return the part of degree 1 in a channel seen along the unit vector (x, y, z)."""
     return SH1 * (z * s2 - y * s1 - x * s3)
 
 
-@inlined_function
+@jit.inlined_function
 def color_degree_2(x, y, z, s4, s5, s6, s7, s8):
     """Return the part of degree 2 in the channel, arguments as for degree 1."""
     xx, yy, zz = x * x, y * y, z * z
@@ -236,7 +229,7 @@ def color_degree_2(x, y, z, s4, s5, s6, s7, s8):
     return value
 
 
-@inlined_function
+@jit.inlined_function
 def color_degree_3(x, y, z, s9, s10, s11, s12, s13, s14, s15):
     """Return the part of degree 3 in the channel, arguments as for degree 1."""
     xx, yy, zz = x * x, y * y, z * z
@@ -249,7 +242,7 @@ def color_degree_3(x, y, z, s9, s10, s11, s12, s13, s14, s15):
     return value
 
 
-@inlined_function
+@jit.inlined_function
 def facing_normal(normal, point, pose, orthographic):
     """Return a splat's normal in the camera frame, towards the camera, and its plane's distance.
 
@@ -268,7 +261,7 @@ def facing_normal(normal, point, pose, orthographic):
     return n0, n1, n2, distance
 
 
-@device_function
+@jit.device_function
 def pose_of(view):
     """Return the `Pose` of a view matrix."""
     return Pose(
@@ -277,7 +270,7 @@ def pose_of(view):
     )  # fmt: skip
 
 
-@device_function
+@jit.device_function
 def project_chunk(g, frustum, compensate, s):
     """Fill the scratch rows `s` up to LAST; FIRST is above LAST for splats that are not seen."""
     view, lens, size, near, plane, orthographic = frustum
@@ -321,7 +314,7 @@ def project_chunk(g, frustum, compensate, s):
         s[FIRST + i], s[LAST + i] = (first if seen else ONE), (last if seen else ZERO)
 
 
-@device_function
+@jit.device_function
 def color_chunk(g, sh, fine, step, eye, orthographic, bands, s):
     """Fill the scratch rows RED to RED + 2 with the colours seen from `eye`.
 
@@ -368,7 +361,7 @@ def color_chunk(g, sh, fine, step, eye, orthographic, bands, s):
             s[color + i] = max(s[color + i], ZERO)
 
 
-@device_function
+@jit.device_function
 def face_chunk(g, frustum, deep, s):
     """Fill the scratch rows NORMAL_X to REST: normals, planes, rounding errors of depths."""
     pose, orthographic = pose_of(frustum.camera_from_world), frustum.orthographic
@@ -384,7 +377,7 @@ def face_chunk(g, frustum, deep, s):
         s[REST + i] = np.float32(exact - np.float64(s[Z + i]))
 
 
-@device_function
+@jit.device_function
 def write_records(s, across, place, record_out, depth_out, box_out, lane_out, count_out):
     """Write the seen splats of a chunk one after the other; return their number."""
     # Unsigned numbers: numba then need not ask whether an index counts from the end.
@@ -418,14 +411,14 @@ def write_records(s, across, place, record_out, depth_out, box_out, lane_out, co
     return np.int64(o) - place
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def find_chunks(box, frustum: Frustum, seen_out):
     """Mark the chunks that may touch the picture; `box` (chunks, 6) holds the chunks' boxes."""
     for chunk in prange(len(box)):
         seen_out[chunk] = not chunk_is_out(box[chunk], frustum)
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def project_chunks(
     splats: SplatChunks, chunks, frustum: Frustum, deep, eye, compensate, degree, across,
     record_out, depth_out, box_out, lane_out, visible_out, count_out,
@@ -454,9 +447,9 @@ def project_chunks(
     """
     geometry, sh, fine, step = splats
     n = len(chunks)
-    taken = none_taken()
-    for _ in prange(TAKERS):
-        block = take_next(taken)
+    taken = jit.none_taken()
+    for _ in prange(jit.TAKERS):
+        block = jit.take_next(taken)
         if block >= BLOCKS:
             continue
         s = np.empty(SCRATCH, np.float32)
@@ -477,4 +470,4 @@ def project_chunks(
                 visible_out[k] = write_records(
                     s, across, k * LANES, record_out, depth_out, box_out, lane_out, count
                 )
-            block = take_next(taken)
+            block = jit.take_next(taken)

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.jit import (
-    TAKERS,
-    cpu_kernel,
-    device_function,
-    none_taken,
-    prange,
-    serial_kernel,
-    take_next,
-)
+from rainsim import jit
+from rainsim.jit import prange
 from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import BLOCKS, TILE_SHIFT
 
@@ -29,7 +22,7 @@ RECORD_SHIFT = np.uint64(RECORD_BITS)
 RECORD_MASK = np.uint64((1 << RECORD_BITS) - 1)
 
 
-@serial_kernel
+@jit.serial_kernel
 def tile_starts(count):
     """Turn counts per block and tile into places; return the first place of each tile."""
     blocks, tiles = count.shape
@@ -45,7 +38,7 @@ def tile_starts(count):
     return start
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def list_tiles(depth, box, visible, across, place, entry_out):
     """Write (depth bits, record) of each splat into the list of each tile that it meets.
 
@@ -59,9 +52,9 @@ def list_tiles(depth, box, visible, across, place, entry_out):
     """
     n = len(visible)
     bits = depth.view(np.uint64)  # positive floats sort like their bits
-    taken = none_taken()
-    for _ in prange(TAKERS):
-        block = take_next(taken)
+    taken = jit.none_taken()
+    for _ in prange(jit.TAKERS):
+        block = jit.take_next(taken)
         while block < BLOCKS:
             mine = place[block]
             for k in range(block * n // BLOCKS, (block + 1) * n // BLOCKS):
@@ -72,10 +65,10 @@ def list_tiles(depth, box, visible, across, place, entry_out):
                             tile = j * across + i
                             entry_out[mine[tile]] = key
                             mine[tile] += 1
-            block = take_next(taken)
+            block = jit.take_next(taken)
 
 
-@device_function
+@jit.device_function
 def sort_keys(key, spare, histogram, n):
     """Sort key[:n]: by insertion if few, else by radix and a final pass of insertion.
 
@@ -110,7 +103,7 @@ def sort_keys(key, spare, histogram, n):
         key[j + 1] = k
 
 
-@device_function
+@jit.device_function
 def scatter(source, target, histogram, n, low, shift):
     """Sort source[:n] into `target` by one digit, keeping the order of equal ones."""
     histogram[:] = 0

@@ -26,15 +26,9 @@ against the depth and where a neighbour is nearly dry.
 
 import numpy as np
 
+from rainsim import jit
 from rainsim.constants import HALF, ONE, THREE, TWO, ZERO
-from rainsim.jit import (
-    cpu_kernel,
-    device_function,
-    inlined_function,
-    lean_function,
-    prange,
-    serial_kernel,
-)
+from rainsim.jit import prange
 from rainsim.water.bundles import Flux, StepNumbers, Water
 from rainsim.water.rows import ROOM, copy_row, stack_row, tile_maxima
 
@@ -49,14 +43,14 @@ SMOOTH_END = np.float32(0.1875)
 FADE = np.float32(8)
 
 
-@device_function
+@jit.device_function
 def limited_slope(behind, ahead):
     """Return van Leer's slope from the differences on both sides: 0 where they disagree."""
     product = behind * ahead
     return TWO * product / (behind + ahead) if product > ZERO else ZERO
 
 
-@device_function
+@jit.device_function
 def upwind_value(flow, a_0, a_1, a_2, a_3):
     """Value that `flow` carries from a_1 to a_2 (or back), with a limited slope."""
     east = flow > ZERO
@@ -64,7 +58,7 @@ def upwind_value(flow, a_0, a_1, a_2, a_3):
     return centre + HALF * limited_slope(centre - behind, ahead - centre)
 
 
-@device_function
+@jit.device_function
 def face_flux(speed, h_0, h_1, h_2, h_3, bed_1, bed_2):
     """Volume flux [m2/s] through the face between the cells 1 and 2.
 
@@ -81,7 +75,7 @@ def face_flux(speed, h_0, h_1, h_2, h_3, bed_1, bed_2):
     return speed * (sloped if smooth else over)
 
 
-@device_function
+@jit.device_function
 def fourth_order(square, h_mean, share, h_least, third, cross):
     """Correction to a surface difference that makes waves fourth order.
 
@@ -93,7 +87,7 @@ def fourth_order(square, h_mean, share, h_least, third, cross):
     return fade * change if h_least > HALF * h_mean else ZERO
 
 
-@device_function
+@jit.device_function
 def shoreline_velocity(h_a, h_b, bed_0, bed_a, bed_b, bed_3, behind, ahead):
     """Velocity of a closed face: that of the water beside it where the bed rises on evenly.
 
@@ -106,13 +100,13 @@ def shoreline_velocity(h_a, h_b, bed_0, bed_a, bed_b, bed_3, behind, ahead):
     return behind if runs_up else (ahead if runs_down else ZERO)
 
 
-@device_function
+@jit.device_function
 def depth_over_step(h_a, h_b, step):
     """Height of the water above the higher bed of two cells; b's is `step` above a's."""
     return max(h_a - max(step, ZERO), h_b + min(step, ZERO))
 
 
-@device_function
+@jit.device_function
 def accelerated(w, h_a, h_b, bed_a, bed_b, extra, gain, still, step):
     """Face velocity after transport and pressure; `still` where the face is closed.
 
@@ -130,13 +124,13 @@ def accelerated(w, h_a, h_b, bed_a, bed_b, extra, gain, still, step):
     return ZERO if rests else min(max(speed, -step.cap), step.cap)
 
 
-@device_function
+@jit.device_function
 def wave_speed(speed, h_a, h_b, gravity):
     """Speed of the fastest wave at a face."""
     return abs(speed) + np.sqrt(gravity * max(h_a, h_b))
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def volume_flux(tiles, h, bed, u, v, qu_out, qv_out):
     """Volume flux through the west and south faces of the cells of `tiles`, and the map's edges.
 
@@ -167,7 +161,7 @@ def volume_flux(tiles, h, bed, u, v, qu_out, qv_out):
                 q_out[c] = face_flux(w[c], d_0[c], d_1[c], d_2[c], d_3[c], b_1[c], b_2[c])
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def move_depth(tiles, qu, qv, k, dry, h_out, remainder_out):
     """Change the depth by the flow through the four faces; k = dt / spacing.
 
@@ -194,7 +188,7 @@ def move_depth(tiles, qu, qv, k, dry, h_out, remainder_out):
                 extra[c] = total - np.float64(d[c])
 
 
-@inlined_function
+@jit.inlined_function
 def momentum_flux_along(q, a, n, flux_out):
     """Write the momentum fluxes [m3/s2] at n places within a row of velocities.
 
@@ -206,7 +200,7 @@ def momentum_flux_along(q, a, n, flux_out):
         flux_out[c] = flow * upwind_value(flow, a[c], a[c + 1], a[c + 2], a[c + 3])
 
 
-@inlined_function
+@jit.inlined_function
 def momentum_flux_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
     """Write the momentum fluxes [m3/s2] at n places between two rows of velocities.
 
@@ -218,7 +212,7 @@ def momentum_flux_across(q_0, q_1, a_0, a_1, a_2, a_3, n, flux_out):
         flux_out[c] = flow * upwind_value(flow, a_0[c], a_1[c], a_2[c], a_3[c])
 
 
-@inlined_function
+@jit.inlined_function
 def level_row(h, bed, n, level_out):
     """Levels of n cells of a row."""
     for c in range(n):
@@ -226,7 +220,7 @@ def level_row(h, bed, n, level_out):
 
 
 # long: its loops run in vectors only over rows on the stack of one loop (`rainsim.water.rows`)
-@lean_function
+@jit.lean_function
 def accelerate_run(
     run, tiles, water: Water, bed, flux: Flux, step: StepNumbers,
     u_out, v_out, wave_speed_out, speed_out,
@@ -329,7 +323,7 @@ def accelerate_run(
     tile_maxima(run, tiles, fast, speed_out)
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def accelerate(
     runs, tiles, water: Water, bed, flux: Flux, step: StepNumbers,
     u_out, v_out, wave_speed_out, speed_out,
@@ -354,7 +348,7 @@ def accelerate(
         )
 
 
-@serial_kernel
+@jit.serial_kernel
 def fill_depth(kinds, a_out):
     """Fill the ghost cells of a cell map: mirrored at walls, as the edge cell at open edges.
 
@@ -373,13 +367,13 @@ def fill_depth(kinds, a_out):
         a_out[ny - 1, i] = a_out[ny - 3, i] if kinds[3] else a_out[ny - 4, i]
 
 
-@device_function
+@jit.device_function
 def depth_into_edge_cell(deep, step):
     """Depth that flows into a last cell whose bed is `step` above that of its neighbour, `deep`."""
     return max(deep - max(step, ZERO), ZERO)
 
 
-@device_function
+@jit.device_function
 def speed_out(speed, here, behind, step):
     """Outward speed through an open edge.
 
@@ -396,7 +390,7 @@ def speed_out(speed, here, behind, step):
     return leaves + (min(max(here - behind, ZERO), leaves) if step > ZERO else ZERO)
 
 
-@serial_kernel
+@jit.serial_kernel
 def fill_edge_flux(kinds, h, bed, u, v, qu_out, qv_out):
     """Let only what stands above a higher last cell flow into it, towards an open edge.
 
@@ -426,7 +420,7 @@ def fill_edge_flux(kinds, h, bed, u, v, qu_out, qv_out):
             qv_out[ny - 3, i] = v[ny - 3, i] * depth_into_edge_cell(h[ny - 4, i], step)
 
 
-@serial_kernel
+@jit.serial_kernel
 def fill_velocity(kinds, bed, u, v, u_out, v_out):
     """Set the velocity of the edge faces and of the ghost faces beyond them.
 

@@ -10,16 +10,8 @@ import math
 
 import numpy as np
 
+from rainsim.water import conserving
 from rainsim.water.bundles import Flux, FrictionNumbers, Ground
-from rainsim.water.conserving import (
-    PAD,
-    accelerate,
-    fill_depth,
-    fill_edge_flux,
-    fill_velocity,
-    move_depth,
-    volume_flux,
-)
 from rainsim.water.friction import apply_friction
 from rainsim.water.inputs import EDGES
 from rainsim.water.lean import step
@@ -46,15 +38,18 @@ class ConservingFlow(StaggeredFlow):
         step takes it to n + 1/2.
     """
 
-    pad = PAD
-    inner = np.s_[PAD:-PAD, PAD:-PAD]
+    pad = conserving.PAD
+    inner = np.s_[conserving.PAD : -conserving.PAD, conserving.PAD : -conserving.PAD]
 
     def __init__(self, bed, spacing, gravity, is_open, roughness, dry, viscosity):
         if roughness is None and viscosity > 0.0:
             roughness = np.zeros_like(bed)
-        rough, framed = None if roughness is None else np.pad(roughness, PAD), np.pad(bed, PAD)
+        rough, framed = (
+            None if roughness is None else np.pad(roughness, conserving.PAD),
+            np.pad(bed, conserving.PAD),
+        )
         self.edge_is_open = np.array([is_open[edge] for edge in EDGES], np.int64)
-        fill_depth(self.edge_is_open, framed)
+        conserving.fill_depth(self.edge_is_open, framed)
         super().__init__(framed, spacing, gravity, is_open, rough, dry)
         self.viscosity, self.lowest_bed = viscosity, float(bed.min())
         self._tiles = Tiles(*framed.shape, bed.dtype)
@@ -65,8 +60,8 @@ class ConservingFlow(StaggeredFlow):
         """Set the inner face velocities, (ny, nx - 1) and (ny - 1, nx); `h` must be set before."""
         for water in (self.water, self._spare):
             water.u[:], water.v[:] = 0, 0
-        self.water.u[PAD:-PAD, PAD + 1 : -PAD - 1] = u
-        self.water.v[PAD + 1 : -PAD - 1, PAD:-PAD] = v
+        self.water.u[conserving.PAD : -conserving.PAD, conserving.PAD + 1 : -conserving.PAD - 1] = u
+        self.water.v[conserving.PAD + 1 : -conserving.PAD - 1, conserving.PAD : -conserving.PAD] = v
         self._spare.h[:] = self.water.h
         self._steps, self.cap = 0, 0.0
         # `_lead` is twice the time [s] by which velocity is ahead of depth.
@@ -82,8 +77,8 @@ class ConservingFlow(StaggeredFlow):
 
     def _fill_ghosts(self):
         now, before = self.water, self._spare
-        fill_depth(self.edge_is_open, now.h)
-        fill_velocity(self.edge_is_open, self.bed, before.u, before.v, now.u, now.v)
+        conserving.fill_depth(self.edge_is_open, now.h)
+        conserving.fill_velocity(self.edge_is_open, self.bed, before.u, before.v, now.u, now.v)
         self._set_entries()
 
     def refresh(self):
@@ -202,7 +197,7 @@ class ConservingFlow(StaggeredFlow):
         """Take note that sources have changed depths: all over, or where water moves."""
         if everywhere:
             self._tiles.wake_wet(self.water.h[self.inner] > 0)
-        fill_depth(self.edge_is_open, self.water.h)
+        conserving.fill_depth(self.edge_is_open, self.water.h)
         if not self.moves:
             self._raise_cap()  # that of dry ground would hold what fell on it
 
@@ -214,9 +209,9 @@ class ConservingFlow(StaggeredFlow):
         rise : ndarray [m]. Of each cell.
         dt : float [s]. Of the step.
         """
-        h, at = self.water.h, (rows + PAD, columns + PAD)
+        h, at = self.water.h, (rows + conserving.PAD, columns + conserving.PAD)
         self._tiles.wake_cells(rows, columns)
-        fill_depth(self.edge_is_open, h)
+        conserving.fill_depth(self.edge_is_open, h)
         self._raise_cap_to(float(h[at].max()), float((h[at] + self.bed[at]).max()))
 
 
@@ -240,11 +235,11 @@ class AccurateFlow(ConservingFlow):
     def _move(self, dt):
         """Move the depth by `dt` [s]; return the volume flux [m2/s] out of each open edge."""
         (h, remainder, u, v), (qu, qv) = self.water, self._flux
-        volume_flux(self._tiles.runs, h, self.bed, u, v, qu, qv)
-        fill_edge_flux(self.edge_is_open, h, self.bed, u, v, qu, qv)
+        conserving.volume_flux(self._tiles.runs, h, self.bed, u, v, qu, qv)
+        conserving.fill_edge_flux(self.edge_is_open, h, self.bed, u, v, qu, qv)
         k = dt / self._spacing
-        move_depth(self._tiles.runs, qu, qv, k, float(self.dry), h, remainder)
-        fill_depth(self.edge_is_open, h)
+        conserving.move_depth(self._tiles.runs, qu, qv, k, float(self.dry), h, remainder)
+        conserving.fill_depth(self.edge_is_open, h)
         return [self.outward(edge, qu, qv) for edge in self.open_edges()]
 
     def advance_velocity(self, dt):
@@ -259,7 +254,7 @@ class AccurateFlow(ConservingFlow):
     def _push(self, dt, pressure_time):
         """Carry momentum over the `dt` [s] in which the depth moved; press for `pressure_time`."""
         speeds = self._tiles.speeds()
-        accelerate(
+        conserving.accelerate(
             self._tiles.runs, self._tiles.active, self.water, self.bed, self._flux,
             self.numbers(dt, pressure_time, self.cap), self._spare.u, self._spare.v, *speeds,
         )  # fmt: skip
@@ -315,10 +310,10 @@ class LeanFlow(ConservingFlow):
         if self.roughness is None:
             self._write(dt, pressure_time, runs, tiles, speeds)
         else:
-            wider = [np.hstack([np.maximum(a[:, :4] - [1, 0, 1, 0], PAD), a[:, 4:]])
+            wider = [np.hstack([np.maximum(a[:, :4] - [1, 0, 1, 0], conserving.PAD), a[:, 4:]])
                      for a in (runs, tiles)]  # fmt: skip
             self._write(dt, pressure_time, *wider, speeds)
-            fill_depth(self.edge_is_open, self._spare.h)
+            conserving.fill_depth(self.edge_is_open, self._spare.h)
             self._slow(pressure_time, runs, tiles, self.water, self._spare, speeds)
         return speeds.max(axis=1, initial=0).tolist()
 
@@ -331,7 +326,7 @@ class LeanFlow(ConservingFlow):
         dtype, water = self.bed.dtype.type, self.water
         sign = dtype(1 if edge in ("west", "south") else -1)
         w = water.u if edge in ("west", "east") else water.v
-        at = rows + PAD + (edge == "south"), columns + PAD + (edge == "west")
+        at = rows + conserving.PAD + (edge == "south"), columns + conserving.PAD + (edge == "west")
         pushed = w[at] + sign * (self._gravity * dt / self._spacing * rise).astype(dtype)
         cap = dtype(self.cap)
         w[at] = np.where(w[at] != 0, np.clip(pushed, -cap, cap), 0)  # closed faces stay closed

@@ -11,22 +11,15 @@ import functools
 
 import numpy as np
 
-from rainsim.jit import (
-    cgutils,
-    cpu_kernel,
-    device_function,
-    inlined_function,
-    intrinsic,
-    prange,
-    types,
-)
+from rainsim import jit
+from rainsim.jit import prange
 
 ROWS, COLUMNS = 16, 64  # cells of a tile, whatever the number of threads
 RUN = 1024  # columns, the most that a kernel takes at once
 ROOM = RUN + 4  # of a row on the stack: a run's columns and what lies beside them
 
 
-@intrinsic
+@jit.intrinsic
 def stack_row(typingctx, like, count):
     """Return an uninitialised ndarray of shape (count,) of the type of `like`, on the stack.
 
@@ -35,20 +28,20 @@ def stack_row(typingctx, like, count):
     like : ndarray
     count : literal int
     """
-    if not isinstance(count, types.IntegerLiteral):
+    if not isinstance(count, jit.types.IntegerLiteral):
         return None
-    row = types.Array(like.dtype, 1, "C")
+    row = jit.types.Array(like.dtype, 1, "C")
 
     def codegen(context, builder, signature, arguments):
         item, length = context.get_data_type(like.dtype), count.literal_value
-        number = functools.partial(context.get_constant, types.intp)
+        number = functools.partial(context.get_constant, jit.types.intp)
         array = context.make_array(row)(context, builder)
-        array.data = cgutils.alloca_once(builder, item, size=length)
+        array.data = jit.cgutils.alloca_once(builder, item, size=length)
         array.nitems, array.itemsize = number(length), number(context.get_abi_sizeof(item))
-        array.shape = cgutils.pack_array(builder, [array.nitems])
-        array.strides = cgutils.pack_array(builder, [array.itemsize])
+        array.shape = jit.cgutils.pack_array(builder, [array.nitems])
+        array.strides = jit.cgutils.pack_array(builder, [array.itemsize])
         for owner in ("meminfo", "parent"):
-            setattr(array, owner, cgutils.get_null_value(getattr(array, owner).type))
+            setattr(array, owner, jit.cgutils.get_null_value(getattr(array, owner).type))
         return array._getvalue()
 
     return row(like, count), codegen
@@ -80,14 +73,14 @@ def runs_of(tiles, numbers, across):
     return runs
 
 
-@inlined_function
+@jit.inlined_function
 def copy_row(a, n, a_out):
     """Copy n numbers of `a`."""
     for c in range(n):
         a_out[c] = a[c]
 
 
-@device_function
+@jit.device_function
 def tile_maxima(run, tiles, tops, top_out):
     """Find the largest of the columns `tops` of each tile of a run."""
     for m in range(run[4], run[5]):
@@ -97,7 +90,7 @@ def tile_maxima(run, tiles, tops, top_out):
         top_out[m] = top
 
 
-@cpu_kernel
+@jit.cpu_kernel
 def tile_peaks(tiles, h, bed, deepest_out, highest_out):
     """Find the largest depth and the highest level of water in each of `tiles`.
 

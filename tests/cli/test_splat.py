@@ -110,12 +110,3 @@ def test_hits_name_splats_of_the_scene(folder, tmp_path):
     assert len(np.unique(hit)) > 500
     z = scene.splats.position @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
     np.testing.assert_allclose(z[hit[hit >= 0]], depth[hit >= 0], rtol=1e-5)
-
-
-def test_a_picture_too_large_for_the_memory_is_refused(folder, tmp_path, monkeypatch):
-    from rainsim.render import memory
-
-    monkeypatch.setattr(memory, "free_memory", lambda: 1e9)
-    done = run(folder, "--width", "16000", "--height", "9000", "--out", tmp_path / "a.png")
-    assert done.exit_code == 2 and "lower --width" in done.stderr
-    assert not (tmp_path / "a.png").exists()

@@ -4,25 +4,16 @@ import json
 
 import pytest
 
+from rainsim.config import tables
 from rainsim.config.preset_files import preset_text
 from rainsim.config.preset_writer import preset_text_of
 from rainsim.config.settings import Config, preset_names
-from rainsim.config.tables import (
-    CHOICES,
-    HUMAN_KEYS,
-    LOOK,
-    PARTS,
-    SETTINGS,
-    default_of,
-    look_settings,
-    table,
-)
 from rainsim.errors import ParameterError
 
 
 def test_every_key_is_explained_once():
-    rows = table()
-    assert [row[0] for row in rows] == list(HUMAN_KEYS)
+    rows = tables.table()
+    assert [row[0] for row in rows] == list(tables.HUMAN_KEYS)
     assert len({row[-1] for row in rows}) >= len(rows) - 1 and all(row[-1] for row in rows)
 
 
@@ -35,17 +26,19 @@ def test_units_are_those_that_are_parsed():
         "degrees": 0.0174532925,
         "GB": 1e9,
     }
-    for key, unit, *_ in table():
-        factor = HUMAN_KEYS[key][1]
+    for key, unit, *_ in tables.table():
+        factor = tables.HUMAN_KEYS[key][1]
         if factor is not None:
             assert factor == pytest.approx(factors.get(unit, 1.0)), key
 
 
-@pytest.mark.parametrize("key", [key for key in HUMAN_KEYS if default_of(key) is not None])
+@pytest.mark.parametrize(
+    "key", [key for key in tables.HUMAN_KEYS if tables.default_of(key) is not None]
+)
 def test_a_default_written_down_changes_nothing(key):
-    attribute = HUMAN_KEYS[key][0]
-    keys = [name for name, _ in PARTS.get(attribute, ((key, None),))]
-    lines = [f"{name} = {json.dumps(default_of(name))}" for name in keys]
+    attribute = tables.HUMAN_KEYS[key][0]
+    keys = [name for name, _ in tables.PARTS.get(attribute, ((key, None),))]
+    lines = [f"{name} = {json.dumps(tables.default_of(name))}" for name in keys]
     written, plain = Config.from_toml("\n".join(lines)).as_dict(), Config().as_dict()
     for group, values in plain.items():
         if isinstance(values, dict):
@@ -58,17 +51,17 @@ def test_a_default_written_down_changes_nothing(key):
             assert written[group] == values
 
 
-@pytest.mark.parametrize("attribute", CHOICES)
+@pytest.mark.parametrize("attribute", tables.CHOICES)
 def test_choices_are_those_that_are_taken(attribute):
-    for choice in CHOICES[attribute]:
+    for choice in tables.CHOICES[attribute]:
         Config().replace(**{attribute: choice}).check()
-    with pytest.raises(ParameterError, match=CHOICES[attribute][0]):
+    with pytest.raises(ParameterError, match=tables.CHOICES[attribute][0]):
         Config().replace(**{attribute: "no-such-choice"}).check()
 
 
 def test_every_setting_is_reached_or_says_who_needs_it():
     presets = "\n".join(preset_text(name) for name in preset_names() if name != "paper")
-    for one in SETTINGS.values():
+    for one in tables.SETTINGS.values():
         reached = (
             one.option or one.dropdown or one.paper is not None
             or any(key.slider or f"\n{key.name} =" in presets for key in one.keys)
@@ -77,9 +70,9 @@ def test_every_setting_is_reached_or_says_who_needs_it():
 
 
 def test_the_look_sets_the_choices_of_the_paper_and_each_can_still_be_set_by_itself():
-    paper = look_settings("paper")
+    paper = tables.look_settings("paper")
     assert len(paper) == 10
-    assert all(f" {name}" in LOOK.keys[0].meaning for name in paper)
+    assert all(f" {name}" in tables.LOOK.keys[0].meaning for name in paper)
     together = Config.from_toml('look = "paper"')
     assert together == Config().replace(**paper) == Config().replace(look="paper")
     assert together.look == "paper" and Config().look == "physical"

@@ -18,7 +18,7 @@ from rainsim.config import timeline
 from rainsim.config.preset_files import HUMAN_KEYS, preset_names
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError, RainsimError
-from rainsim.render.shutter import FASTEST, FASTEST_TURN, shutter_end
+from rainsim.render.shutter import FASTEST, FASTEST_TURN, PathMotion
 from rainsim.scene.camera_rule import MOST_FOV
 from rainsim.scene.cameras import (
     look_at,
@@ -185,12 +185,11 @@ def camera_at(eye, target, fov=60.0, width=640, height=480):
 
 def shutters_keep_ends_and_rotations(eyes, target, share, fps):
     path = [camera_at(eye, target) for eye in eyes]
+    along = PathMotion(path, fps)
     for index, here in enumerate(path):
         last = index + 1 == len(path)
         there = path[index - 1] if last else path[index + 1]
-        whole, part, shut = (
-            shutter_end(path, index, exposure / fps, fps) for exposure in (1.0, share, 0.0)
-        )
+        whole, part, shut = (along.end(index, exposure / fps) for exposure in (1.0, share, 0.0))
         speed = np.linalg.norm(there.position - here.position) * fps
         if whole is None:
             turned = here.camera_from_world[:3, :3] @ there.camera_from_world[:3, :3].T

@@ -8,21 +8,12 @@ import pytest
 import scenes
 import sunny_yard
 from rainsim.config.settings import Config
-from rainsim.daylight import kept_light, relight, sky_light
+from rainsim.daylight import kept_light, relight, sky_light, visibility
 from rainsim.daylight.kept_light import covered_share, under_clouds
 from rainsim.daylight.light import Light
 from rainsim.daylight.lit_surface import Surface
 from rainsim.daylight.shade import NO_EDGES, edge_shade, factor_in_shade
 from rainsim.daylight.sun import _pairs
-from rainsim.daylight.visibility import (
-    NOTHING,
-    Window,
-    axes_of,
-    coarsened,
-    draw_heights,
-    find_seen,
-    solids_of,
-)
 from rainsim.numerics.srgb import display, linear
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.splat_sets import joined
@@ -350,7 +341,7 @@ def disc_over_ground():
     normal, flat = np.tile(np.float32([0, 0, 1]), (len(place), 1)), np.ones(len(place), np.float32)
     none = np.zeros((len(place), 1), np.int32)
     surface = Surface(place, normal, flat, 0 * normal, flat, none, np.float32(0.05**2) * flat)
-    return place, solids_of(surface)
+    return place, visibility.solids_of(surface)
 
 
 @pytest.mark.parametrize("merged", [False, True])
@@ -358,20 +349,20 @@ def disc_over_ground():
 def test_shadows_lie_where_they_should(poisoned, merged, slant):
     place, solids = disc_over_ground()
     if merged:
-        fewer = coarsened(solids, 0.2)
+        fewer = visibility.coarsened(solids, 0.2)
         assert len(fewer.reach) < 0.5 * len(solids.reach)
         solids = fewer
     direction = np.array([slant, 0, 1]) / np.hypot(slant, 1)
-    window = Window(np.zeros(3, np.float32), 512, np.float32(6 / 512))
-    axes = axes_of(direction)
+    window = visibility.Window(np.zeros(3, np.float32), 512, np.float32(6 / 512))
+    axes = visibility.axes_of(direction)
     heights = poisoned((1, 512, 512))
-    draw_heights(solids, axes, window, heights)
+    visibility.draw_heights(solids, axes, window, heights)
     assert np.isfinite(heights).all()
     ground = place[place[:, 2] == 0]
     normal = np.tile(np.float32([0, 0, 1]), (len(ground), 1))
     seen = poisoned((len(ground), 1))
     flat = np.ones(len(ground), np.float32)
-    find_seen(heights, axes, window, ground, normal, flat, np.float32(0.02), seen)
+    visibility.find_seen(heights, axes, window, ground, normal, flat, np.float32(0.02), seen)
     away = np.hypot(ground[:, 0] + slant, ground[:, 1])
     assert (seen[away < 0.4] == 0).all() and (seen[away > 0.65] == 1).all()
 
@@ -379,14 +370,14 @@ def test_shadows_lie_where_they_should(poisoned, merged, slant):
 def test_nothing_hides_nothing(poisoned):
     place, solids = disc_over_ground()
     empty = type(solids)(*(a[:0] for a in solids))
-    window = Window(np.zeros(3, np.float32), 64, np.float32(0.1))
+    window = visibility.Window(np.zeros(3, np.float32), 64, np.float32(0.1))
     heights, seen = poisoned((1, 64, 64)), poisoned((len(place), 1))
-    axes = axes_of([0.0, 0.0, 1.0])
-    draw_heights(empty, axes, window, heights)
-    assert (heights == NOTHING).all()
+    axes = visibility.axes_of([0.0, 0.0, 1.0])
+    visibility.draw_heights(empty, axes, window, heights)
+    assert (heights == visibility.NOTHING).all()
     normal = np.tile(np.float32([0, 0, 1]), (len(place), 1))
     flat = np.ones(len(place), np.float32)
-    find_seen(heights, axes, window, place, normal, flat, np.float32(0.02), seen)
+    visibility.find_seen(heights, axes, window, place, normal, flat, np.float32(0.02), seen)
     assert (seen == 1).all()
 
 

@@ -75,18 +75,6 @@ def test_workers_draw_the_same_bytes(tmp_path, client, whole):  # noqa: F811
     assert said[-1] == f"frames {FRAMES}/{FRAMES}" and said.count("a note") == FRAMES
 
 
-def test_an_unfinished_run_is_gone_on_with_by_workers(tmp_path, client, whole):  # noqa: F811
-    frames, scene = MadeUpFrames(at=5), tiny_scene()
-    with pytest.raises(KeyboardInterrupt), claimed(tmp_path / "a"):
-        record = Record(tmp_path / "a", scene, {"layers": ["depth"]}, seed=0)
-        with FrameFolder(tmp_path / "a", record, scene.cameras[:1], frames.config) as film:
-            for frame in frames.frames(range(FRAMES)):
-                film.add(*frame)
-    said = draw(client, tmp_path / "a", resume=True)
-    assert said[0] == f"5 of {FRAMES} frames are finished and kept"
-    same(tmp_path / "a", whole)
-
-
 def test_a_worker_that_dies_loses_nothing(tmp_path, client, whole):  # noqa: F811
     draw(client, tmp_path / "a", at=5, fault="die", once=tmp_path / "once")
     same(tmp_path / "a", whole)

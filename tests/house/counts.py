@@ -84,6 +84,7 @@ def count(root):
         "import circles (files in each)": [len(c) for c in circles(graph)] or "none",
         "lines of rainsim/": lines_of(package),
         "lines of tests/": lines_of(root / "tests"),
+        "lines of benchmarks/": lines_of(root / "benchmarks"),
     }
 
 

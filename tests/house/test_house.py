@@ -151,9 +151,7 @@ def test_presets_are_packaged_and_names_agree():
 
 
 def test_tests_look_outside_the_repository_in_one_place():
-    paths = [
-        p for p in ROOT.glob("tests/**/*.py") if p.name not in ("conftest.py", "test_house.py")
-    ]
+    paths = [p for p in ROOT.glob("tests/**/*.py") if p.name not in ("set_up.py", "test_house.py")]
     named = [p.name for p in paths if re.search(r"parents\[3\]|[\"'/]shared/", p.read_text())]
     assert not named, "use the fixture `shared`"
 

@@ -206,13 +206,3 @@ def test_help_imports_nothing_heavy(arguments):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout
-
-
-def test_the_public_names_exist():
-    import rainsim
-
-    assert dir(rainsim) == sorted(rainsim.__all__) and "render_rain" in dir(rainsim)
-    for name in rainsim.__all__:
-        assert getattr(rainsim, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        _ = rainsim.nothing

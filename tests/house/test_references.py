@@ -14,7 +14,7 @@ from pathlib import Path
 from source import MODULES, PACKAGE, ROOT, TEXTS, functions_in, name_of, nodes, prose, text, tree
 
 REFERENCE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
-TESTS = sorted(ROOT.glob("tests/**/*.py"))
+TESTS = sorted([*ROOT.glob("tests/**/*.py"), *ROOT.glob("benchmarks/tests/*.py")])
 WORD = re.compile(r"[A-Za-z_]\w*")
 NAME = re.compile(r"\.?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*(\([\w, ]*\))?")  # of a thing, or its call
 # Ends of file names: the files of others' formats and those that are written need not exist here.
@@ -94,7 +94,7 @@ def symbols():
 def everywhere():
     """Return all names that code of ours uses, keys of presets and classes among them."""
     found = set(dir(builtins))
-    for path in [*MODULES, *ROOT.glob("examples/*.py"), ROOT / "tests/conftest.py"]:
+    for path in [*MODULES, *ROOT.glob("examples/*.py"), ROOT / "tests/set_up.py"]:
         found |= identifiers(path)
     for path in [*PACKAGE.rglob("*.toml"), ROOT / "setup.cfg", ROOT / ".ci/run"]:
         found |= set(WORD.findall(text(path)))

@@ -41,7 +41,7 @@ def test_formulas_have_no_second_body_under_cuda():
 
 def is_formula(function):
     """Tell whether kernels of both backends can call a function, which writes to no array."""
-    marks = {getattr(d, "id", None) for d in function.decorator_list}
+    marks = {getattr(d, "id", getattr(d, "attr", None)) for d in function.decorator_list}
     writes = any(name.endswith("_out") for name in arguments_of(function))
     formulas = {"device_function", "lean_function", "inlined_function", "called_function"}
     return bool(marks & formulas) and not writes

@@ -12,7 +12,7 @@ from rainsim.particles.line_raster import NEAR
 from rainsim.particles.shutter_view import seen_air, shutter_view
 from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.size_distribution import CLASSES, LARGEST
-from rainsim.render.shutter import PathMotion, is_too_fast, motion_to_next, shutter_end
+from rainsim.render.shutter import PathMotion, is_too_fast, motion_to_next, moved
 from rainsim.scene.types import Camera
 from rainsim.scene.view import corner_rays, edge_planes
 
@@ -50,19 +50,19 @@ def project(camera, point):
 def test_the_pose_at_the_shutters_close_lies_on_the_way_to_the_next_frame():
     path = [looking((0.1 * k, 0.02 * k, 0), yaw=0.05 * k) for k in range(4)]
     for k in range(4):
-        end = shutter_end(path, k, exposure=1 / 48, fps=24.0)  # half a frame
+        end = PathMotion(path, 24.0).end(k, 1 / 48)  # half a frame
         wanted = looking((0.1 * (k + 0.5), 0.02 * (k + 0.5), 0), yaw=0.05 * (k + 0.5))
         np.testing.assert_allclose(end.camera_from_world, wanted.camera_from_world, atol=1e-12)
-    assert shutter_end(path[:1], 0, 1 / 48, 24.0) is None
-    assert shutter_end([path[0], path[0]], 0, 1 / 48, 24.0) is None
+    assert PathMotion(path[:1], 24.0).end(0, 1 / 48) is None
+    assert PathMotion([path[0], path[0]], 24.0).end(0, 1 / 48) is None
 
 
 def test_a_cut_is_not_a_motion():
     far = [looking(), looking((5.0, 0, 0))]
-    assert shutter_end(far, 0, 1 / 60, 24.0) is None
-    assert shutter_end(far, 0, 1 / 60, 4.0) is not None
+    assert PathMotion(far, 24.0).end(0, 1 / 60) is None
+    assert PathMotion(far, 4.0).end(0, 1 / 60) is not None
     around = [looking(), looking(yaw=2.0)]
-    assert shutter_end(around, 0, 1 / 60, 24.0) is None
+    assert PathMotion(around, 24.0).end(0, 1 / 60) is None
 
 
 def test_all_frames_of_a_path_move_as_each_of_them():
@@ -73,9 +73,10 @@ def test_all_frames_of_a_path_move_as_each_of_them():
     assert along.cuts == [is_too_fast(motion_to_next(path, k), 24.0) for k in range(len(path))]
     assert along.cuts.index(True) == 3 and sum(along.cuts) == 1
     for k in range(len(path)):
-        found, wanted = along.end(k, 1 / 48), shutter_end(path, k, 1 / 48, 24.0)
-        assert (found is None) == (wanted is None) == (k in (1, 3))
-        if wanted is not None:
+        found = along.end(k, 1 / 48)
+        assert (found is None) == (k in (1, 3))
+        if found is not None:
+            wanted = moved(path[k], *(0.5 * part for part in motion_to_next(path, k)))
             np.testing.assert_allclose(found.camera_from_world, wanted.camera_from_world)
     longer = along.end(0, 1 / 24)
     np.testing.assert_allclose(longer.camera_from_world, path[1].camera_from_world, atol=1e-12)
@@ -94,7 +95,7 @@ def test_the_seen_air_is_the_least_that_holds_what_the_cameras_see(lens):
     time, exposure, far = 3.0, 1 / 48, np.linspace(2.0, 12.0, CLASSES)
     around = LARGEST + lens[0] * np.maximum(far / lens[1], 1.0)
     found = {}
-    for end in (None, shutter_end(path, 0, exposure, 24.0)):
+    for end in (None, PathMotion(path, 24.0).end(0, exposure)):
         view = shutter_view(path[0], time, exposure, end, *lens)
         air = found[end is None] = seen_air(field, path[0], view, far, *lens)
         begin = world_points(path[0], far)
@@ -134,7 +135,7 @@ def test_a_streak_begins_and_ends_where_the_moving_camera_sees_the_drop():
         [looking((0, 0, 0)), looking((0.1, 0.05, 0.0), yaw=0.02)],
         [looking((0.2, 0.1, -0.05), yaw=0.03), looking((0.2, 0.16, 0.0), yaw=0.01)],
     ):
-        end = shutter_end(path, 0, exposure, 24.0)
+        end = PathMotion(path, 24.0).end(0, exposure)
         alpha = drop(start, velocity, path[0], exposure, camera_end=end)
         ends = np.array([project(path[0], start), project(end, start + velocity * exposure)])
         v, u = (np.indices(alpha.shape) + 0.5) * alpha.astype(float) / alpha.sum()
@@ -152,7 +153,7 @@ def test_a_streak_begins_and_ends_where_the_moving_camera_sees_the_drop():
 def test_a_field_seen_by_a_turning_camera_is_the_field_of_drawn_drops():
     field = RainField(RainSpectrum(2.0), (0.5, 1.0), seed=4)
     path = [looking(), looking((0.05, 0.0, 0.1), yaw=0.06)]
-    end = shutter_end(path, 0, 1 / 60, 24.0)
+    end = PathMotion(path, 24.0).end(0, 1 / 60)
     drops = field.drops_in_box(3.0, (-1, -3, -3), (4.0, 3, 3))
     z = drops.position[:, 0]
     seen = (z > 0.3) & (z < 3.0)
@@ -219,4 +220,4 @@ def test_bad_lenses_are_told():
 
 def test_a_camera_keeps_its_lens_and_size_through_the_exposure():
     path = [replace(looking(), fx=400.0), looking((0.1, 0, 0))]
-    assert shutter_end(path, 0, 1 / 60, 24.0).fx == 400.0
+    assert PathMotion(path, 24.0).end(0, 1 / 60).fx == 400.0

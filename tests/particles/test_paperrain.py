@@ -7,15 +7,7 @@ from scipy import stats
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.drops import RainField, Weather, flat_surfaces, impacts
 from rainsim.errors import ParameterError
-from rainsim.particles.paper import (
-    GREY,
-    LINE_LENGTH,
-    SPHERE_RADIUS,
-    draw_gaussians,
-    draw_lines,
-    gaussian_axes,
-    line_radiance,
-)
+from rainsim.particles import paper
 from rainsim.rain.size_distribution import PAPER_RADIUS, SMALLEST, RainSpectrum, drop_volume
 from rainsim.scene.types import Camera
 from scenes import looking
@@ -64,11 +56,11 @@ def test_lines_are_opaque_and_twelve_millimetres_wide_whatever_the_rate():
     for rate in (2.0, 50.0):
         field = RainField(RainSpectrum(rate, "paper"), seed=2)
         alpha, depth = blank(camera)
-        draw_lines(field, GROUND, camera, 3.0, 6.0, depth, alpha)
+        paper.draw_lines(field, GROUND, camera, 3.0, 6.0, depth, alpha)
         assert alpha.max() > 0.99  # a drop of any size hides what is behind it
         assert 0 < (alpha > 0.5).mean() < 0.5
     far = np.full_like(depth, 0.2)
-    draw_lines(field, GROUND, camera, 3.0, 6.0, far, alpha)
+    paper.draw_lines(field, GROUND, camera, 3.0, 6.0, far, alpha)
     assert alpha.max() == 0
 
 
@@ -79,13 +71,13 @@ def test_a_line_is_as_long_as_it_should_be():
     camera = view(800)
     field = RainField(RainSpectrum(3.0, "paper"), seed=2)
     alpha, depth = blank(camera)
-    draw_lines(field, GROUND, camera, 3.0, 5.0, depth, alpha)
+    paper.draw_lines(field, GROUND, camera, 3.0, 5.0, depth, alpha)
     blobs, count = ndimage.label(alpha > 0.5)
     ratios = []
     for rows, columns in ndimage.find_objects(blobs):
         if rows.start > 0 and rows.stop < 800:
             ratios.append((rows.stop - rows.start) / (columns.stop - columns.start))
-    expected = (LINE_LENGTH + SPHERE_RADIUS) / (2 * SPHERE_RADIUS)
+    expected = (paper.LINE_LENGTH + paper.SPHERE_RADIUS) / (2 * paper.SPHERE_RADIUS)
     assert count >= len(ratios) >= 3
     assert np.median(ratios) == pytest.approx(expected, rel=0.3)
 
@@ -95,12 +87,12 @@ def test_nothing_falls_under_cover():
     field = RainField(RainSpectrum(50, "paper"), seed=2)
     alpha, depth = blank(camera)
     roof = flat_surfaces(16, 16, 0.1, (-8.0, -8.0), height=5.0)
-    draw_lines(field, roof, camera, 3.0, 6.0, depth, alpha)
+    paper.draw_lines(field, roof, camera, 3.0, 6.0, depth, alpha)
     assert alpha.max() == 0
 
 
 def test_the_covariance_of_a_splash_has_the_squared_volume_for_its_determinant():
-    longest, other = gaussian_axes(2e-3)
+    longest, other = paper.gaussian_axes(2e-3)
     assert (longest * other * other) ** 2 == pytest.approx(drop_volume(2e-3) ** 2)
     assert longest > other
 
@@ -113,21 +105,21 @@ def test_splashes_are_there_for_the_frame_of_their_drop_and_lie_along_the_wind()
     close = Camera(800, 800, 800, 800, 400, 400, down)
     field = RainField(RainSpectrum(100, "paper"), (4.0, 0.0), seed=2)
     alpha, depth = blank(close)
-    draw_gaussians(field, GROUND, close, 1.0, 1.01, depth, alpha)
+    paper.draw_gaussians(field, GROUND, close, 1.0, 1.01, depth, alpha)
     found = impacts(field, GROUND, 1.0, 1.01)
     inside = (np.abs(found.position[:, :2]) < 0.24).all(axis=1)
-    longest, other = gaussian_axes(found.diameter[inside])
+    longest, other = paper.gaussian_axes(found.diameter[inside])
     whole = (2 * np.pi * longest * other * (800 / 0.5) ** 2).sum()
     shown = alpha.sum(dtype=np.float64)
     assert inside.sum() > 10
     assert shown == pytest.approx(whole, rel=0.2)  # some lie across the edge
-    draw_gaussians(field, GROUND, camera, 1.0, 1.0, *blank(camera)[::-1])
+    paper.draw_gaussians(field, GROUND, camera, 1.0, 1.0, *blank(camera)[::-1])
     along = np.abs(np.diff(alpha, axis=1)).sum()
     across = np.abs(np.diff(alpha, axis=0)).sum()
     assert across > 1.1 * along  # edges along the wind are longer
 
 
 def test_lines_are_grey_two_hundred_and_darker_on_a_dark_picture():
-    bright = line_radiance(np.full((4, 4, 3), 0.5, np.float32))
-    dark = line_radiance(np.full((4, 4, 3), 0.02, np.float32))
-    assert bright == pytest.approx(np.full(3, GREY**2.2)) and dark.max() < 0.3 * bright.min()
+    bright = paper.line_radiance(np.full((4, 4, 3), 0.5, np.float32))
+    dark = paper.line_radiance(np.full((4, 4, 3), 0.02, np.float32))
+    assert bright == pytest.approx(np.full(3, paper.GREY**2.2)) and dark.max() < 0.3 * bright.min()

@@ -17,17 +17,7 @@ from rainsim.config.settings import Config
 from rainsim.drops import Weather
 from rainsim.errors import InputError, ParameterError
 from rainsim.particles.spray import lay_clouds, spray_seen
-from rainsim.rain.throws import (
-    FLIGHT,
-    MIST_LIFE,
-    Puffs,
-    flying,
-    mean_diameter,
-    mist_puffs,
-    mist_share,
-    thrown_by,
-    thrown_rates,
-)
+from rainsim.rain import throws
 from rainsim.rain.tyres import FASTEST, LEFT, TICK, cars_of, rolled
 from rainsim.render.renderer import Renderer
 from rainsim.scene.folder import read_scene, write_scene
@@ -83,30 +73,32 @@ def drive(speed, depth, time=0.25, wheels=WHEEL, film=0.0):
 
 def test_the_four_ways_are_those_that_were_published():
     """A lorry's twin tyre of 0.56 m at 100 km/h in 0.7 mm: rates in kg/s worked out by hand."""
-    rates = 1000 * thrown_rates(0.7e-3, 0.56, 100 / 3.6)
+    rates = 1000 * throws.thrown_rates(0.7e-3, 0.56, 100 / 3.6)
     np.testing.assert_allclose(rates[[FILM, TREAD]], [1.1667, 2.7222], rtol=1e-3)
     np.testing.assert_allclose(rates[[BOW, SIDE]], 3.5, rtol=1e-3)
     # Densities beside it, 0.0089 kg/m3 in all, are on the tool's scale of 0.005 to 0.03.
-    density = mist_share(100 / 3.6, 1.0) / (100 / 3.6)
+    density = throws.mist_share(100 / 3.6, 1.0) / (100 / 3.6)
     assert density @ rates == pytest.approx(0.0090, abs=3e-4)
 
 
 def test_rates_grow_with_depth_width_and_speed_and_sum_to_what_is_cleared(rng):
     depth, width, speed = rng.uniform((1e-6, 0.1, 1), (0.05, 0.4, 40), (200, 3)).T
-    rates = thrown_rates(depth, width, speed)
+    rates = throws.thrown_rates(depth, width, speed)
     np.testing.assert_allclose(rates.sum(axis=-1), depth * width * speed, rtol=1e-12)
     assert (rates >= 0).all()
-    np.testing.assert_allclose(thrown_rates(depth, width, 2 * speed), 2 * rates, rtol=1e-12)
-    assert thrown_rates(0.0, 0.2, 10.0).sum() == 0
-    share = mist_share(30.0, 2.6)
+    np.testing.assert_allclose(throws.thrown_rates(depth, width, 2 * speed), 2 * rates, rtol=1e-12)
+    assert throws.thrown_rates(0.0, 0.2, 10.0).sum() == 0
+    share = throws.mist_share(30.0, 2.6)
     assert (share > 0).all() and (share <= 0.5).all()
-    assert (mist_share(5.0, 2.6)[[BOW, SIDE]] == 0).all()  # waves make no mist at walking pace
+    assert (
+        throws.mist_share(5.0, 2.6)[[BOW, SIDE]] == 0
+    ).all()  # waves make no mist at walking pace
 
 
 def test_drops_are_smaller_the_faster_the_tyre():
-    assert mean_diameter(6.0) == pytest.approx(0.8e-3, rel=0.01)
-    np.testing.assert_allclose(mean_diameter(12.0) / mean_diameter(24.0), 2.0)
-    assert mean_diameter(0.0) <= 1.5e-3
+    assert throws.mean_diameter(6.0) == pytest.approx(0.8e-3, rel=0.01)
+    np.testing.assert_allclose(throws.mean_diameter(12.0) / throws.mean_diameter(24.0), 2.0)
+    assert throws.mean_diameter(0.0) <= 1.5e-3
 
 
 @pytest.mark.parametrize("speed", [3.0, 10.0, 25.0])
@@ -114,9 +106,9 @@ def test_drops_are_smaller_the_faster_the_tyre():
 def test_the_mass_thrown_a_second_is_the_published_one(speed, depth):
     rolls, _ = drive(speed, depth)
     rolls = rolls.take((rolls.begin[:, 0] > -2) & (rolls.end[:, 0] < 6))  # whole ones
-    drops, mist = thrown_by(rolls)
-    expected = thrown_rates(depth - LEFT, 0.2, speed)
-    dry = 1 - mist_share(speed, BOX[1, 1] * BOX[1, 2])
+    drops, mist = throws.thrown_by(rolls)
+    expected = throws.thrown_rates(depth - LEFT, 0.2, speed)
+    dry = 1 - throws.mist_share(speed, BOX[1, 1] * BOX[1, 2])
     bow, side, tread, film = expected * dry
     wanted = [bow + side, tread, film]
     np.testing.assert_allclose(drops / TICK, np.tile(wanted, (len(rolls.tick), 1)), rtol=1e-5)
@@ -159,27 +151,27 @@ def test_tyres_behind_others_find_less_water():
 
 def test_parcels_hold_what_was_thrown_and_fly_on():
     rolls, _ = drive(15.0, 3e-3)
-    parcels = flying(rolls, 0.25)
+    parcels = throws.flying(rolls, 0.25)
     assert (parcels.place[:, 2] > parcels.road).all() and len(parcels.id) > 100
     volume = np.pi / 6 * parcels.number * parcels.diameter**3
-    assert 0 < volume.sum() < thrown_by(rolls)[0].sum()
+    assert 0 < volume.sum() < throws.thrown_by(rolls)[0].sum()
     step = 1e-4
-    later = flying(rolls, 0.25 + step)
+    later = throws.flying(rolls, 0.25 + step)
     _, old, new = np.intersect1d(parcels.id, later.id, return_indices=True)
     assert len(old) > 0.95 * len(parcels.id)
     moved = (later.place[new] - parcels.place[old]) / step
     np.testing.assert_allclose(moved, parcels.velocity[old], atol=0.2)
-    assert len(flying(rolls, 0.25 + FLIGHT + 1.0).id) == 0
+    assert len(throws.flying(rolls, 0.25 + throws.FLIGHT + 1.0).id) == 0
     assert (parcels.velocity[:, 2] < 0).any() and (parcels.velocity[:, 2] > 0).any()
 
 
 def test_mist_settles_and_spreads():
     rolls, _ = drive(25.0, 3e-3)
     rolls = rolls.take(rolls.tick * TICK < 0.2)
-    young, old = mist_puffs(rolls, 0.25), mist_puffs(rolls, 0.25 + MIST_LIFE)
+    young, old = throws.mist_puffs(rolls, 0.25), throws.mist_puffs(rolls, 0.25 + throws.MIST_LIFE)
     assert old.section.sum() / young.section.sum() == pytest.approx(np.exp(-1), rel=0.01)
     assert old.deviation.min() > young.deviation.max() and len(old.section) < len(young.section)
-    assert len(mist_puffs(rolls, -2.0).section) == 0
+    assert len(throws.mist_puffs(rolls, -2.0).section) == 0
 
 
 # --- tracks ---------------------------------------------------------------------------------------
@@ -218,21 +210,6 @@ def ground(scene):
     return pipeline.extract_terrain(scene, CONFIG)
 
 
-def test_the_same_frame_alone_and_in_sequence(scene, ground, threads):
-    camera = scene.cameras[0].resized(160, 120)
-    frames = pipeline.FrameSequence(scene, ground, [camera], CONFIG, layers=("rain_alpha",))
-    (_, kept), (picture, report) = (
-        (p.copy(), r.aovs["rain_alpha"].copy()) if r.index == 0 else (p.copy(), r)
-        for p, r in frames.frames([0, 7])
-    )
-    threads(1)
-    alone = pipeline.FrameSequence(scene, ground, [camera], CONFIG, layers=("rain_alpha",))
-    ((again, same),) = alone.frames([7])
-    np.testing.assert_array_equal(again, picture)
-    np.testing.assert_array_equal(same.aovs["rain_alpha"], report.aovs["rain_alpha"])
-    assert (kept != same.aovs["rain_alpha"]).any()
-
-
 def test_spray_and_tracks_show_and_go_with_the_setting(scene, ground):
     camera, shown, maps = scene.cameras[0].resized(160, 120), {}, {}
     state = next(pipeline.simulate(ground, CONFIG)).shown_at(0.5)
@@ -262,16 +239,16 @@ def behind(distance):
 def test_drops_and_clouds_are_the_same_water_from_anywhere(distance):
     now, (rolls, _) = 0.25, drive(15.0, 3e-3)
     lines, puffs = spray_seen(rolls, behind(distance), now, 0.004)
-    parcels = flying(rolls, now)
+    parcels = throws.flying(rolls, now)
     whole = np.pi / 4 * (parcels.number * parcels.diameter**2).sum()
-    whole += mist_puffs(rolls, now).section.sum()
+    whole += throws.mist_puffs(rolls, now).section.sum()
     found = np.pi / 4 * (lines[:, 6] ** 2).sum() + puffs.section.sum()
     assert found == pytest.approx(whole, rel=0.12)  # a scattered drop may be in the road
     assert (len(lines) > 100) == (distance < 10)
 
 
 def test_a_cloud_replaces_the_light_of_its_cross_section_and_hides_behind_things():
-    puff = Puffs(np.array([[2.0, 0.1, 0.6]]), np.array([0.15]), np.array([0.02]))
+    puff = throws.Puffs(np.array([[2.0, 0.1, 0.6]]), np.array([0.15]), np.array([0.02]))
     camera = behind(5.0)
     shape = camera.height, camera.width
     sums = {}

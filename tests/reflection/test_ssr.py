@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
+from rainsim import ssr
 from rainsim.jit import serial_kernel
 from rainsim.scene.view import View
-from rainsim.ssr import (
-    DepthBlocks,
-    MarchSettings,
-    block_bounds,
-    bounds_of,
-    edge_fade,
-    march,
-)
 
 WIDTH, HEIGHT, FOCAL = 200, 150, 160.0
 VIEW = View(
@@ -23,7 +16,7 @@ VIEW = View(
 
 @serial_kernel
 def march_once(blocks, view, start, direction, settings):
-    return march(
+    return ssr.march(
         blocks, view, (start[0], start[1], start[2]), (direction[0], direction[1], direction[2]),
         settings,
     )  # fmt: skip
@@ -33,13 +26,13 @@ def find(depth, start, direction, thickness=0.15, stride=1.0, farthest=30.0):
     start = np.asarray(start, np.float32)
     direction = np.asarray(direction, float)
     direction = (direction / np.linalg.norm(direction)).astype(np.float32)
-    settings = MarchSettings(*np.float32([thickness, stride, farthest]))
-    bounds = np.full(bounds_of(*depth.shape), np.nan, np.float32)
-    block_bounds(depth, bounds)
-    found = march_once(DepthBlocks(depth, bounds), VIEW, start, direction, settings)
+    settings = ssr.MarchSettings(*np.float32([thickness, stride, farthest]))
+    bounds = np.full(ssr.bounds_of(*depth.shape), np.nan, np.float32)
+    ssr.block_bounds(depth, bounds)
+    found = march_once(ssr.DepthBlocks(depth, bounds), VIEW, start, direction, settings)
     wide = np.zeros_like(bounds)
     wide[..., 1] = np.inf
-    steps = march_once(DepthBlocks(depth, wide), VIEW, start, direction, settings)
+    steps = march_once(ssr.DepthBlocks(depth, wide), VIEW, start, direction, settings)
     assert found == steps  # a march that never jumps
     return found
 
@@ -143,7 +136,7 @@ def test_rounding_does_not_choose_the_pixel(rng):
 def test_edge_fade():
     w = np.float32(200)
     share = np.float32(0.1)
-    values = [edge_fade(np.float32(u), np.float32(75), w, np.float32(150), share)
+    values = [ssr.edge_fade(np.float32(u), np.float32(75), w, np.float32(150), share)
               for u in (0, 10, 20, 100, 190, 200)]  # fmt: skip
     np.testing.assert_allclose(values, [0, 0.5, 1, 1, 0.5, 0], atol=1e-6)
 

@@ -12,7 +12,7 @@ from rainsim.render import labels
 from rainsim.render.frame_files import write_layers
 from rainsim.render.labels import NO_FLOW, OCCLUDED, OUTSIDE, SEEN
 from rainsim.render.renderer import Renderer
-from rainsim.render.shutter import is_too_fast, motion_to_next, moved, next_camera, shutter_end
+from rainsim.render.shutter import PathMotion, is_too_fast, motion_to_next, moved, next_camera
 from rainsim.scene.types import Camera
 from rainsim.scene.view import pixel_rays
 from scenes import DIP_CENTRE, tiny_scene
@@ -92,12 +92,12 @@ def test_boxes_hold_their_instances():
 def test_the_next_camera_follows_from_the_shutter():
     path = [moved(CAMERA, k * np.array([0.1, 0.02, 0]), k * np.array([0, 0.03, 0.01]))
             for k in range(3)]  # fmt: skip
-    end = shutter_end(path, 1, 1 / 60, 24)
+    end = PathMotion(path, 24).end(1, 1 / 60)
     found = next_camera(path[1], end, 24 / 60)
     np.testing.assert_allclose(found.camera_from_world, path[2].camera_from_world, atol=1e-9)
     far = moved(CAMERA, np.array([9.0, 0, 0]), np.zeros(3))
     assert is_too_fast(motion_to_next([CAMERA, far], 0), 24)
-    assert shutter_end([CAMERA, far], 0, 1 / 60, 24) is None
+    assert PathMotion([CAMERA, far], 24).end(0, 1 / 60) is None
     assert not is_too_fast(motion_to_next([CAMERA], 0), 24)
     assert not is_too_fast(motion_to_next([CAMERA, CAMERA], 0), 24)
 

@@ -16,14 +16,8 @@ from benchmarks import captures
 from benchmarks import ground as suite
 from made_captures import patio, ring, splats_at
 from rainsim.errors import GroundError, InputError, ParameterError
+from rainsim.scene import ground
 from rainsim.scene.cameras import look_at, read_cameras
-from rainsim.scene.ground import (
-    ASSUMED_CAMERA_HEIGHT,
-    estimate_ground_frame,
-    read_ground_frame,
-    rescale_ground_frame,
-    write_ground_frame,
-)
 from rainsim.scene.ply import read_splats
 from rainsim.scene.types import GroundFrame
 
@@ -43,7 +37,7 @@ def captured(frame, points, cameras=()):
     )
 
 
-ASSUMED = ASSUMED_CAMERA_HEIGHT / 1.5  # over the height of `ring`
+ASSUMED = ground.ASSUMED_CAMERA_HEIGHT / 1.5  # over the height of `ring`
 
 
 def angle(a, b):
@@ -53,7 +47,7 @@ def angle(a, b):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_paving_is_found_in_any_capture_frame(seed):
     frame = random_frame(seed)
-    found = estimate_ground_frame(*captured(frame, patio(), ring()))
+    found = ground.estimate_ground_frame(*captured(frame, patio(), ring()))
     assert angle(found.up, frame.up) < 0.1
     # The paving stands for the ground, not the lawn 6 cm above it, nor the table top.
     assert abs(found.to_ground(frame.to_capture(np.zeros(3)))[2]) < 0.002
@@ -68,19 +62,19 @@ def test_paving_is_found_in_any_capture_frame(seed):
 def test_axes_and_origin_follow_the_cameras():
     cameras = ring()
     frame = random_frame()
-    found = estimate_ground_frame(*captured(frame, patio(), cameras))
+    found = ground.estimate_ground_frame(*captured(frame, patio(), cameras))
     first = found.camera_in_ground(frame.camera_in_capture(cameras[0]))
     assert abs(first.forward[1]) < 1e-9 and first.forward[0] > 0.9
     middle = found.to_ground(frame.to_capture(np.mean([c.position for c in cameras], axis=0)))
-    np.testing.assert_allclose(middle, [0, 0, ASSUMED_CAMERA_HEIGHT], atol=1e-9)
+    np.testing.assert_allclose(middle, [0, 0, ground.ASSUMED_CAMERA_HEIGHT], atol=1e-9)
 
 
 def test_scale_given_as_length_or_camera_height():
     frame = random_frame()
     scene = captured(frame, patio(), ring())
-    given = estimate_ground_frame(*scene, meters_per_unit=0.9)
+    given = ground.estimate_ground_frame(*scene, meters_per_unit=0.9)
     assert given.meters_per_unit == 0.9 and not given.scale_assumed
-    high = estimate_ground_frame(*scene, camera_height=3.0)
+    high = ground.estimate_ground_frame(*scene, camera_height=3.0)
     assert high.meters_per_unit == pytest.approx(2 * frame.meters_per_unit, rel=0.002)
     assert not high.scale_assumed and "3 m" in high.notes[-1]
 
@@ -94,27 +88,27 @@ def test_cameras_held_on_their_side_and_a_stray_camera():
         sideways.append(type(camera)(48, 64, 50, 50, 24, 32, matrix))
     buried = look_at((0.5, 0, -0.5), (0, 0, -1), (0, 1, 0), 60, 64, 48)
     for cameras in (sideways, [*ring(count=30), buried]):
-        found = estimate_ground_frame(splats_at(patio()), cameras)
+        found = ground.estimate_ground_frame(splats_at(patio()), cameras)
         assert angle(found.up, np.array([0, 0, 1.0])) < 0.1
 
 
 def test_one_camera_is_enough():
     camera = look_at((3, 0, 1.5), (0, 0, 0.5), (0, 0, 1), 60, 64, 48)
-    found = estimate_ground_frame(splats_at(patio()), [camera])
+    found = ground.estimate_ground_frame(splats_at(patio()), [camera])
     assert angle(found.up, np.array([0, 0, 1.0])) < 0.5
 
 
 def test_camera_that_looks_straight_down_takes_x_from_its_image_up():
     camera = look_at((0, 0, 2), (0, 0, 0), (0, 1, 0), 60, 64, 48)
-    found = estimate_ground_frame(splats_at(patio()), [camera], up=(0, 0, 1))
+    found = ground.estimate_ground_frame(splats_at(patio()), [camera], up=(0, 0, 1))
     np.testing.assert_allclose(found.rotation[0], [0, 1, 0], atol=0.01)
 
 
 def test_seeds_agree_and_the_answer_is_fixed():
     scene = captured(random_frame(), patio(), ring())
-    frames = [estimate_ground_frame(*scene, seed=seed) for seed in range(10)]
+    frames = [ground.estimate_ground_frame(*scene, seed=seed) for seed in range(10)]
     assert max(angle(f.up, frames[0].up) for f in frames) < 0.02
-    again = estimate_ground_frame(*scene)
+    again = ground.estimate_ground_frame(*scene)
     assert np.array_equal(again.rotation, frames[0].rotation)
     assert np.array_equal(again.translation, frames[0].translation)
 
@@ -127,7 +121,7 @@ def test_far_floaters_and_haze_do_not_matter():
     splats = splats_at(points)
     splats.opacity[-4000:] = 0.05
     splats.scale[-7000:-4000] = 300
-    found = estimate_ground_frame(splats, ring())
+    found = ground.estimate_ground_frame(splats, ring())
     assert angle(found.up, np.array([0, 0, 1.0])) < 0.1
     assert found.meters_per_unit == pytest.approx(ASSUMED, rel=0.002)
 
@@ -136,25 +130,25 @@ def test_without_cameras_up_and_scale_are_needed_and_enough():
     frame = random_frame()
     splats, _ = captured(frame, patio())
     rough = np.add(frame.up, (0.1, 0, 0))
-    found = estimate_ground_frame(splats, [], up=rough, meters_per_unit=0.37)
+    found = ground.estimate_ground_frame(splats, [], up=rough, meters_per_unit=0.37)
     assert angle(found.up, frame.up) < 0.1 and found.meters_per_unit == 0.37
     assert "degrees from the up that was given" in found.notes[0]
     origin = frame.to_ground(found.to_capture(np.zeros(3)))
     assert abs(origin[2]) < 0.002 and np.hypot(*origin[:2]) < 1
     for given in ({}, {"up": rough}, {"meters_per_unit": 1.0}, {"up": rough, "camera_height": 1.5}):
         with pytest.raises(GroundError, match=r"--up x,y,z and --meters-per-unit S"):
-            estimate_ground_frame(splats, [], **given)
+            ground.estimate_ground_frame(splats, [], **given)
 
 
 def test_an_up_that_the_cameras_speak_against_is_taken_and_told():
-    found = estimate_ground_frame(splats_at(patio()), ring(), up=(0, 1, 0.5))
+    found = ground.estimate_ground_frame(splats_at(patio()), ring(), up=(0, 1, 0.5))
     assert angle(found.up, np.array([0, 1, 0.5])) < 20
     assert any("held 63 degrees from the up that is given" in note for note in found.notes)
 
 
 def test_an_up_that_is_given_is_never_refused():
     cloud = splats_at(np.random.default_rng(1).normal(size=(20_000, 3)))
-    found = estimate_ground_frame(cloud, ring(), up=(0.1, 0, 1))
+    found = ground.estimate_ground_frame(cloud, ring(), up=(0.1, 0, 1))
     assert angle(found.up, np.array([0, 0, 1.0])) < 1  # as the cameras were held
     assert any("too poor to be found" in note for note in found.notes)
 
@@ -177,7 +171,7 @@ def shell(radius):
 )
 def test_what_has_no_ground_is_refused(points):
     with pytest.raises(GroundError, match=r"cannot be found.*--up"):
-        estimate_ground_frame(splats_at(points), ring())
+        ground.estimate_ground_frame(splats_at(points), ring())
 
 
 def typed(text):
@@ -187,27 +181,27 @@ def typed(text):
 @pytest.mark.parametrize(("degrees", "share"), [(8, 0.5), (25, 0.55), (-15, 0.5)])
 def test_of_two_planes_as_good_the_cameras_tell_the_level_one(degrees, share):
     scene, truth = captures.fold(3, degrees, share)
-    found = estimate_ground_frame(scene.splats, scene.cameras)
+    found = ground.estimate_ground_frame(scene.splats, scene.cameras)
     assert angle(found.up, truth.frame.up) < 0.1
     # Three cameras do not tell: then both are named, and each can be said.
     with pytest.raises(
         GroundError, match=r"two planes .* degrees apart are as good.*--up="
     ) as told:
-        estimate_ground_frame(scene.splats, scene.cameras[::8])
+        ground.estimate_ground_frame(scene.splats, scene.cameras[::8])
     ways = [typed(text) for text in re.search(r"up (\S+) and (\S+);", str(told.value)).groups()]
     assert angle(*ways) == pytest.approx(abs(degrees), abs=0.2)
     for way in ways:
-        found = estimate_ground_frame(scene.splats, scene.cameras[::8], up=way)
+        found = ground.estimate_ground_frame(scene.splats, scene.cameras[::8], up=way)
         assert angle(found.up, way) < 0.2
 
 
 def test_the_greater_of_two_planes_is_taken():
     scene, truth = captures.fold(3, 15, 0.75)
-    assert angle(estimate_ground_frame(scene.splats, scene.cameras).up, truth.frame.up) < 0.1
+    assert angle(ground.estimate_ground_frame(scene.splats, scene.cameras).up, truth.frame.up) < 0.1
 
 
 def test_why_it_is_sure_is_said():
-    found = estimate_ground_frame(*captured(random_frame(), patio(), ring()))
+    found = ground.estimate_ground_frame(*captured(random_frame(), patio(), ring()))
     assert re.search(
         r"confidence .* \(\d+% of the splats .* as beside it, across \d+%", found.notes[0]
     )
@@ -219,7 +213,7 @@ def test_rough_meadows_without_a_flat_place_are_found():
     points[:, 2] = np.abs(rng.normal(0, 0.12, 20_000))
     frame = random_frame()
     splats, cameras = captured(frame, points, ring())
-    found = estimate_ground_frame(splats, cameras)
+    found = ground.estimate_ground_frame(splats, cameras)
     assert angle(found.up, frame.up) < 1 and found.confidence < 1
 
 
@@ -255,7 +249,7 @@ def test_fifty_folds_are_right_or_refused():
 
 def test_a_capture_of_haze_is_refused():
     with pytest.raises(GroundError, match="opacity"):
-        estimate_ground_frame(splats_at(patio(), opacity=0.01), ring())
+        ground.estimate_ground_frame(splats_at(patio(), opacity=0.01), ring())
 
 
 @pytest.mark.parametrize(
@@ -273,28 +267,30 @@ def test_a_capture_of_haze_is_refused():
 )
 def test_impossible_values_are_refused(given, expected):
     with pytest.raises(ParameterError, match=expected):
-        estimate_ground_frame(splats_at(patio(60)), ring(), **given)
+        ground.estimate_ground_frame(splats_at(patio(60)), ring(), **given)
 
 
 def test_rescaling_keeps_the_ground_and_the_axes():
     frame = random_frame()
     splats, cameras = captured(frame, patio(), ring())
-    found = estimate_ground_frame(splats, cameras)
-    by_length = rescale_ground_frame(found, cameras, meters_per_unit=0.9)
-    again = estimate_ground_frame(splats, cameras, meters_per_unit=0.9)
+    found = ground.estimate_ground_frame(splats, cameras)
+    by_length = ground.rescale_ground_frame(found, cameras, meters_per_unit=0.9)
+    again = ground.estimate_ground_frame(splats, cameras, meters_per_unit=0.9)
     np.testing.assert_allclose(by_length.rotation, again.rotation)
     np.testing.assert_allclose(by_length.translation, again.translation, atol=1e-9)
     assert by_length.notes == again.notes and not by_length.scale_assumed
-    by_height = rescale_ground_frame(found, cameras, camera_height=2 * ASSUMED_CAMERA_HEIGHT)
+    by_height = ground.rescale_ground_frame(
+        found, cameras, camera_height=2 * ground.ASSUMED_CAMERA_HEIGHT
+    )
     assert by_height.meters_per_unit == pytest.approx(2 * found.meters_per_unit)
 
 
 def test_ground_frame_file_reads_back_exactly(tmp_path):
-    found = estimate_ground_frame(*captured(random_frame(), patio(), ring()))
+    found = ground.estimate_ground_frame(*captured(random_frame(), patio(), ring()))
     found = replace(found, notes=(*found.notes, "long" * 400))  # is kept whole
-    write_ground_frame(tmp_path / "g.json", found)
+    ground.write_ground_frame(tmp_path / "g.json", found)
     assert json.loads((tmp_path / "g.json").read_text())["rainsim_ground_frame"] == 1
-    back = read_ground_frame(tmp_path / "g.json")
+    back = ground.read_ground_frame(tmp_path / "g.json")
     assert np.array_equal(back.rotation, found.rotation)
     assert np.array_equal(back.translation, found.translation)
     for name in ("meters_per_unit", "confidence", "notes", "scale_assumed"):
@@ -317,7 +313,7 @@ def test_ground_frame_file_reads_back_exactly(tmp_path):
 def test_bad_ground_frame_files(tmp_path, text, expected):
     (tmp_path / "g.json").write_text(text)
     with pytest.raises(InputError, match=expected):
-        read_ground_frame(tmp_path / "g.json")
+        ground.read_ground_frame(tmp_path / "g.json")
 
 
 @pytest.mark.slow
@@ -329,7 +325,7 @@ def test_the_real_garden(tmp_path, shared):
     start = time.perf_counter()
     splats, _ = read_splats(tmp_path / "garden/point_cloud/iteration_30000/point_cloud.ply")
     read_time = time.perf_counter() - start
-    frames = [estimate_ground_frame(splats, cameras, seed=seed) for seed in range(10)]
+    frames = [ground.estimate_ground_frame(splats, cameras, seed=seed) for seed in range(10)]
     assert max(angle(f.up, frames[0].up) for f in frames) < 0.02
     found = frames[0]
     heights = found.to_ground([c.position for c in cameras])[:, 2] / found.meters_per_unit

@@ -149,35 +149,9 @@ def test_writing_again_replaces_both_files_and_nothing_else(tmp_path):
     assert (tmp_path / "mine.txt").read_text() == "keep" and len(list(tmp_path.iterdir())) == 3
 
 
-def damage_truncate(folder):
-    data = (folder / "splats.npz").read_bytes()
-    (folder / "splats.npz").write_bytes(data[: len(data) // 2])
-
-
-def damage_type(folder):
-    with np.load(folder / "splats.npz") as archive:
-        arrays = dict(archive)
-    np.savez(folder / "splats.npz", **{**arrays, "opacity": arrays["opacity"].astype(np.float64)})
-
-
-def damage_nan(folder):
-    with np.load(folder / "splats.npz") as archive:
-        arrays = dict(archive)
-    arrays["scale"][3] = np.nan
-    np.savez(folder / "splats.npz", **arrays)
-
-
-def damage_other(folder):
-    np.savez(folder / "splats.npz", x=np.zeros(3))
-
-
 def damage_not_an_archive(folder):
     with open(folder / "splats.npz", "wb") as file:
         np.save(file, np.zeros(3))
-
-
-def damage_objects(folder):
-    np.savez(folder / "splats.npz", **dict.fromkeys(ARRAYS, np.array([{}], dtype=object)))
 
 
 def damage_mixed_up(folder):
@@ -201,12 +175,7 @@ def damage_version(folder):
 @pytest.mark.parametrize(
     ("damage", "expected"),
     [
-        (damage_truncate, "damaged"),
-        (damage_type, "opacity is float64"),
-        (damage_nan, "must be finite"),
-        (damage_other, "no array position"),
         (damage_not_an_archive, "damaged"),
-        (damage_objects, "damaged"),
         (damage_mixed_up, "belong together"),
         (damage_missing, "does not exist"),
         (damage_drains, "three finite numbers"),

@@ -10,65 +10,51 @@ from rainsim.drops import RainField, RainSpectrum
 from rainsim.errors import ParameterError
 from rainsim.scene.types import Camera
 from rainsim.scene.view import pixel_rays
-from rainsim.sensors.glass import (
-    INDEX,
-    WIDE_SIDE,
-    Caps,
-    Pane,
-    cap_radius,
-    cap_volume,
-    caps_on,
-    looked_up,
-    on_pane,
-    pane_flux,
-    pane_window,
-    pixels_behind,
-    refracted,
-    through_glass,
-    wide_camera,
-)
+from rainsim.sensors import glass
 
 # Looks along x, level: right is -y, down is -z.
 LEVEL = np.eye(4)
 LEVEL[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
 CAMERA = Camera(160, 120, 140.0, 140.0, 80.0, 60.0, LEVEL, "a")
-FLAT = Pane(tilt=0.0, aperture=0.0)
+FLAT = glass.Pane(tilt=0.0, aperture=0.0)
 
 
 def test_drops_hit_the_moving_pane_by_their_flux():
     """An upright pane at speed v meets n v drops a second, whatever their fall; tilted more."""
     field = RainField(RainSpectrum(25.0), (0.0, 0.0), 1)
     density = field.spectrum.density.sum()
-    assert pane_flux(field, replace(FLAT, speed=10.0), CAMERA).sum() == pytest.approx(10 * density)
-    assert pane_flux(field, FLAT, CAMERA).sum() == 0
-    leaning = pane_flux(field, replace(FLAT, tilt=0.5, speed=10.0), CAMERA)
+    assert glass.pane_flux(field, replace(FLAT, speed=10.0), CAMERA).sum() == pytest.approx(
+        10 * density
+    )
+    assert glass.pane_flux(field, FLAT, CAMERA).sum() == 0
+    leaning = glass.pane_flux(field, replace(FLAT, tilt=0.5, speed=10.0), CAMERA)
     expected = field.spectrum.density * (10 * math.cos(0.5) + field.spectrum.speed * math.sin(0.5))
     np.testing.assert_allclose(leaning, expected)
     pane = replace(FLAT, tilt=0.5, speed=10.0, age=20.0)
-    area = np.prod(np.diff(pane_window(CAMERA, pane), axis=0))
-    arrived = np.mean([caps_on(field, pane, CAMERA, seed).arrived for seed in range(6)])
+    area = np.prod(np.diff(glass.pane_window(CAMERA, pane), axis=0))
+    arrived = np.mean([glass.caps_on(field, pane, CAMERA, seed).arrived for seed in range(6)])
     assert arrived > 500
     assert arrived == pytest.approx(expected.sum() * area * 20, rel=0.05)
 
 
 def test_caps_keep_their_water_and_do_not_overlap():
-    assert cap_volume(1e-3, math.pi / 2) == pytest.approx(2 / 3 * math.pi * 1e-9)
-    assert cap_radius(cap_volume(2e-3, 0.7), 0.7) == pytest.approx(2e-3)
+    assert glass.cap_volume(1e-3, math.pi / 2) == pytest.approx(2 / 3 * math.pi * 1e-9)
+    assert glass.cap_radius(glass.cap_volume(2e-3, 0.7), 0.7) == pytest.approx(2e-3)
     field = RainField(RainSpectrum(50.0), (0.0, 0.0), 1)
     pane = replace(FLAT, tilt=0.5, speed=12.0, age=15.0)
-    caps = caps_on(field, pane, CAMERA, 3)
+    caps = glass.caps_on(field, pane, CAMERA, 3)
     assert 20 < len(caps.radius) < caps.arrived
     away = np.linalg.norm(caps.place[:, None] - caps.place[None], axis=2)
     touch = away < caps.radius[:, None] + caps.radius[None] - 1e-12
     assert touch.sum() == len(caps.radius)  # each with itself only
     # The largest that stay hold against their weight on the slope.
     slope = math.cos(0.5)
-    weight = 9810 * cap_volume(caps.radius, pane.contact_angle) * slope
+    weight = 9810 * glass.cap_volume(caps.radius, pane.contact_angle) * slope
     assert (weight < 0.3 * 0.0728 * 2 * caps.radius).all()
-    same = caps_on(field, pane, CAMERA, 3)
+    same = glass.caps_on(field, pane, CAMERA, 3)
     np.testing.assert_array_equal(same.place, caps.place)
-    assert caps_on(field, replace(pane, wiper=5.0), CAMERA, 3).arrived == 0  # just wiped
-    wiped = caps_on(field, replace(pane, age=17.0, wiper=5.0), CAMERA, 3)
+    assert glass.caps_on(field, replace(pane, wiper=5.0), CAMERA, 3).arrived == 0  # just wiped
+    wiped = glass.caps_on(field, replace(pane, age=17.0, wiper=5.0), CAMERA, 3)
     assert 0 < wiped.arrived < caps.arrived / 4
 
 
@@ -77,7 +63,10 @@ def test_drops_stay_on_the_pane_as_time_goes_on_and_as_the_camera_turns_a_little
     pane = replace(FLAT, tilt=0.5, speed=12.0, age=6.0)
 
     def common(later, camera=CAMERA):
-        first, second = caps_on(field, pane, CAMERA, 3), caps_on(field, later, camera, 3)
+        first, second = (
+            glass.caps_on(field, pane, CAMERA, 3),
+            glass.caps_on(field, later, camera, 3),
+        )
         near = np.linalg.norm(first.place[:, None] - second.place[None], axis=2) < 1e-9
         return near.any(axis=1).mean(), second.arrived - first.arrived
 
@@ -89,16 +78,16 @@ def test_drops_stay_on_the_pane_as_time_goes_on_and_as_the_camera_turns_a_little
     turn[:2, :2] = [[math.cos(0.6), -math.sin(0.6)], [math.sin(0.6), math.cos(0.6)]]
     share, more = common(pane, replace(CAMERA, camera_from_world=LEVEL @ turn))
     assert share > 0.7 and more != 0
-    other = caps_on(field, pane, CAMERA, 4)
-    assert other.place[0].tolist() not in caps_on(field, pane, CAMERA, 3).place.tolist()
+    other = glass.caps_on(field, pane, CAMERA, 4)
+    assert other.place[0].tolist() not in glass.caps_on(field, pane, CAMERA, 3).place.tolist()
 
 
 def bent(x, pane=FLAT, radius=2e-3):
     """Directions behind a cap in the middle, of rays that meet it at x [m] from its middle."""
     rays = np.column_stack([x / pane.distance, 0 * x, np.ones_like(x)])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    place, point = on_pane(rays, pane)
-    return rays, *refracted(rays, point, place, np.zeros(2), radius, pane)
+    place, point = glass.on_pane(rays, pane)
+    return rays, *glass.refracted(rays, point, place, np.zeros(2), radius, pane)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5, -0.6, 1.2])
@@ -106,17 +95,17 @@ def test_pixels_behind_caps_are_those_whose_rays_meet_their_discs(tilt):
     """Of all pixels and all caps, whatever the pane's tilt and wherever caps reach out."""
     pane = replace(FLAT, tilt=tilt)
     rng, rays = np.random.default_rng(8), pixel_rays(CAMERA).reshape(-1, 3)
-    place, _ = on_pane(rays, pane)
+    place, _ = glass.on_pane(rays, pane)
     middle = rng.choice(place[np.isfinite(place[:, 0])], 60) + rng.normal(0, 5e-3, (60, 2))
-    caps = Caps(middle, rng.uniform(2e-4, 6e-3, 60), 60)
+    caps = glass.Caps(middle, rng.uniform(2e-4, 6e-3, 60), 60)
     inside = np.linalg.norm(place[:, None] - caps.place, axis=2) < caps.radius
-    pixels, cap = pixels_behind(caps, place, CAMERA, pane)
+    pixels, cap = glass.pixels_behind(caps, place, CAMERA, pane)
     found = np.zeros_like(inside)
     found[pixels, cap] = True
     assert 500 < len(pixels) == found.sum()
     np.testing.assert_array_equal(found, inside)
-    beside = Caps(np.array([[-9.0, 0.0]]), np.array([1e-3]), 1)
-    assert not len(pixels_behind(beside, place, CAMERA, pane)[0])
+    beside = glass.Caps(np.array([[-9.0, 0.0]]), np.array([1e-3]), 1)
+    assert not len(glass.pixels_behind(beside, place, CAMERA, pane)[0])
 
 
 def test_a_cap_is_a_lens():
@@ -128,10 +117,10 @@ def test_a_cap_is_a_lens():
     rays, out, _, share = bent(x)
     ball = 2e-3 / math.sin(FLAT.contact_angle)
     slope = rays[:, 0] / rays[:, 2]
-    height = x + ball * (1 - math.cos(FLAT.contact_angle)) * slope / INDEX
-    expected = slope - height * (INDEX - 1) / ball
+    height = x + ball * (1 - math.cos(FLAT.contact_angle)) * slope / glass.INDEX
+    expected = slope - height * (glass.INDEX - 1) / ball
     np.testing.assert_allclose(out[:, 0] / out[:, 2], expected, rtol=2e-3, atol=1e-9)
-    np.testing.assert_allclose(share, 1 - ((INDEX - 1) / (INDEX + 1)) ** 2, rtol=1e-3)
+    np.testing.assert_allclose(share, 1 - ((glass.INDEX - 1) / (glass.INDEX + 1)) ** 2, rtol=1e-3)
     np.testing.assert_allclose(np.linalg.norm(out, axis=1), 1)
 
 
@@ -145,21 +134,24 @@ def test_a_cap_bends_as_snell_has_it():
     normal = (leave - middle) / ball
     inner = leave - np.column_stack([x, 0 * x, np.full(31, FLAT.distance)])
     inner /= np.linalg.norm(inner, axis=1, keepdims=True)
-    np.testing.assert_allclose(rays[:, 0], INDEX * inner[:, 0], atol=1e-9)
+    np.testing.assert_allclose(rays[:, 0], glass.INDEX * inner[:, 0], atol=1e-9)
     sine_in, sine_out = (np.linalg.norm(np.cross(normal, d), axis=1) for d in (inner, out))
-    np.testing.assert_allclose(sine_out, INDEX * sine_in, atol=1e-9)
+    np.testing.assert_allclose(sine_out, glass.INDEX * sine_in, atol=1e-9)
     tilted = replace(FLAT, tilt=0.4)
     _, out, _, _ = bent(np.zeros(1), tilted)
     assert out[0, 1] == pytest.approx(0, abs=0.4) and np.isfinite(out).all()
 
 
 def test_the_wide_picture_is_looked_up_with_its_depth():
-    camera = wide_camera(CAMERA)
+    camera = glass.wide_camera(CAMERA)
     rng = np.random.default_rng(0)
-    picture, depth = rng.random((WIDE_SIDE, WIDE_SIDE, 3)), np.full((WIDE_SIDE, WIDE_SIDE), 2.0)
+    picture, depth = (
+        rng.random((glass.WIDE_SIDE, glass.WIDE_SIDE, 3)),
+        np.full((glass.WIDE_SIDE, glass.WIDE_SIDE), 2.0),
+    )
     out = np.array([[0.3, -0.2, 1.0], [0, 0, 1], [np.nan] * 3])
     leave = np.array([[0.05, 0.01, 0.08], [0.0, 0.1, 0.08], [0, 0, 0.08]])
-    found = looked_up(out / np.linalg.norm(out, axis=1, keepdims=True), leave, picture, depth,
+    found = glass.looked_up(out / np.linalg.norm(out, axis=1, keepdims=True), leave, picture, depth,
                       camera)  # fmt: skip
     for k in (0, 1):
         place = leave[k] + out[k] * (2 - 0.08)
@@ -169,12 +161,12 @@ def test_the_wide_picture_is_looked_up_with_its_depth():
 
 
 def test_the_mask_is_where_the_drops_are():
-    caps = Caps(np.array([[0.0, 0.0], [0.02, 0.01]]), np.array([4e-3, 2e-3]), 2)
+    caps = glass.Caps(np.array([[0.0, 0.0], [0.02, 0.01]]), np.array([4e-3, 2e-3]), 2)
     pane = replace(FLAT, distance=0.1)
     picture = np.full((120, 160, 3), 100, np.uint8)
-    wide = np.full((WIDE_SIDE, WIDE_SIDE, 3), 200, np.uint8)
-    depth = np.full((WIDE_SIDE, WIDE_SIDE), 5.0, np.float32)
-    seen, share = through_glass(picture, CAMERA, caps, pane, wide, depth)
+    wide = np.full((glass.WIDE_SIDE, glass.WIDE_SIDE, 3), 200, np.uint8)
+    depth = np.full((glass.WIDE_SIDE, glass.WIDE_SIDE), 5.0, np.float32)
+    seen, share = glass.through_glass(picture, CAMERA, caps, pane, wide, depth)
     v, u = np.mgrid[:120, :160] + 0.5
     expected = np.zeros((120, 160), bool)
     for (x, y), r in zip(caps.place, caps.radius, strict=True):
@@ -182,7 +174,7 @@ def test_the_mask_is_where_the_drops_are():
     np.testing.assert_array_equal(share > 0, expected)
     assert (seen[~expected] == 100).all() and np.median(seen[expected]) > 180
     soft = replace(pane, aperture=2e-3, focus=10.0)
-    blurred, part = through_glass(picture, CAMERA, caps, soft, wide, depth)
+    blurred, part = glass.through_glass(picture, CAMERA, caps, soft, wide, depth)
     assert part.sum() == pytest.approx(share.sum(), rel=1e-3)
     assert (part > 0.01).sum() > expected.sum() and 100 <= np.median(blurred) <= 101
 
@@ -193,9 +185,9 @@ def test_the_mask_is_where_the_drops_are():
 ])  # fmt: skip
 def test_wrong_panes_are_named(wrong, message):
     with pytest.raises(ParameterError, match=message):
-        Pane(**wrong)
+        glass.Pane(**wrong)
 
 
 def test_a_picture_that_sees_past_the_glass_is_refused():
     with pytest.raises(ParameterError, match="sees past"):
-        pane_window(replace(CAMERA, fx=30.0, fy=30.0), replace(FLAT, tilt=1.3))
+        glass.pane_window(replace(CAMERA, fx=30.0, fy=30.0), replace(FLAT, tilt=1.3))

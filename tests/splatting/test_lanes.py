@@ -9,46 +9,25 @@ import pytest
 from rainsim import jit
 from rainsim.jit import TAKERS, none_taken, prange, serial_kernel, set_threads, take_next
 from rainsim.jit import cpu_kernel as parallel
-from rainsim.splatting.lanes import (
-    CHANNELS,
-    DEPTH_ROW,
-    LANES,
-    LAST_LIGHT,
-    MAX_ALPHA,
-    blend_lanes,
-    meets_blocks,
-)
-from rainsim.splatting.project import (
-    EIGHTH,
-    HALF_LOG2E,
-    MIN_ALPHA_LOG2,
-    R_COLOR,
-    R_CONIC,
-    R_LEVEL,
-    R_REACH,
-    R_U,
-    R_V,
-    RECORD,
-    SLACK,
-)
+from rainsim.splatting import lanes, project
 
 
 @serial_kernel
 def blocks_met(record, bits_out):
     for n in range(len(record)):
-        bits_out[n] = meets_blocks(record, n, np.float32(2), np.float32(2))
+        bits_out[n] = lanes.meets_blocks(record, n, np.float32(2), np.float32(2))
 
 
 @serial_kernel
 def blended(record, chosen, half, drop, state):
     x, n = np.float32(0.5), len(chosen)
     if half and drop:
-        return blend_lanes(record, chosen, 0, n, state, 0, x, x, 1, 1)
+        return lanes.blend_lanes(record, chosen, 0, n, state, 0, x, x, 1, 1)
     if half:
-        return blend_lanes(record, chosen, 0, n, state, 0, x, x, 1, 0)
+        return lanes.blend_lanes(record, chosen, 0, n, state, 0, x, x, 1, 0)
     if drop:
-        return blend_lanes(record, chosen, 0, n, state, 0, x, x, 0, 1)
-    return blend_lanes(record, chosen, 0, n, state, 0, x, x, 0, 0)
+        return lanes.blend_lanes(record, chosen, 0, n, state, 0, x, x, 0, 1)
+    return lanes.blend_lanes(record, chosen, 0, n, state, 0, x, x, 0, 0)
 
 
 @parallel
@@ -70,14 +49,14 @@ def records(rng, count):
     spread = np.stack([long, np.minimum(long, thin)], -1)[:, None, :] ** 2
     covariance = (turn * spread) @ turn.transpose(0, 2, 1) + 0.3 * np.eye(2)
     inverse = np.linalg.inv(covariance)
-    record = np.zeros((count, RECORD), np.float32)
-    record[:, R_U], record[:, R_V] = rng.uniform(-20, 36, (2, count))
-    record[:, R_CONIC] = HALF_LOG2E * inverse[:, 0, 0]
-    record[:, R_CONIC + 1] = HALF_LOG2E * 2 * inverse[:, 0, 1]
-    record[:, R_CONIC + 2] = HALF_LOG2E * inverse[:, 1, 1]
+    record = np.zeros((count, project.RECORD), np.float32)
+    record[:, project.R_U], record[:, project.R_V] = rng.uniform(-20, 36, (2, count))
+    record[:, project.R_CONIC] = project.HALF_LOG2E * inverse[:, 0, 0]
+    record[:, project.R_CONIC + 1] = project.HALF_LOG2E * 2 * inverse[:, 0, 1]
+    record[:, project.R_CONIC + 2] = project.HALF_LOG2E * inverse[:, 1, 1]
     level = np.log2(rng.uniform(0.01, 1, count)).astype(np.float32)
-    record[:, R_LEVEL] = EIGHTH * level
-    record[:, R_REACH] = SLACK * EIGHTH * (level - MIN_ALPHA_LOG2)
+    record[:, project.R_LEVEL] = project.EIGHTH * level
+    record[:, project.R_REACH] = project.SLACK * project.EIGHTH * (level - project.MIN_ALPHA_LOG2)
     return record
 
 
@@ -89,9 +68,11 @@ def test_no_block_is_left_out_in_which_a_splat_shows_and_few_others_are_taken(rn
     place = np.arange(16) + 0.5
     x, y = np.meshgrid(place, place)
     r = record.astype(np.float64)[:, :, None, None]
-    dx, dy = x - r[:, R_U], y - r[:, R_V]
-    a, b, c = r[:, R_CONIC], r[:, R_CONIC + 1], r[:, R_CONIC + 2]
-    shows = 8 * (r[:, R_LEVEL] - (a * dx + b * dy) * dx - c * dy * dy) >= MIN_ALPHA_LOG2
+    dx, dy = x - r[:, project.R_U], y - r[:, project.R_V]
+    a, b, c = r[:, project.R_CONIC], r[:, project.R_CONIC + 1], r[:, project.R_CONIC + 2]
+    shows = (
+        8 * (r[:, project.R_LEVEL] - (a * dx + b * dy) * dx - c * dy * dy) >= project.MIN_ALPHA_LOG2
+    )
     shows = shows.reshape(-1, 4, 4, 4, 4).any(axis=(2, 4)).reshape(-1, 16)
     assert shows.any(axis=1).mean() > 0.3
     assert met[shows].all()
@@ -115,29 +96,38 @@ def test_each_part_is_taken_once(threads):
 @pytest.mark.parametrize("count", [0, 8, 60])
 def test_a_block_is_blended_as_plain_numbers_are(rng, half, drop, count):
     record = records(rng, 99)
-    record[:, [R_U, R_V]] = rng.uniform(-1, 5, (99, 2))
-    record[:, R_COLOR : R_COLOR + CHANNELS - 1] = rng.uniform(0, 1, (99, CHANNELS - 1))
+    record[:, [project.R_U, project.R_V]] = rng.uniform(-1, 5, (99, 2))
+    record[:, project.R_COLOR : project.R_COLOR + lanes.CHANNELS - 1] = rng.uniform(
+        0, 1, (99, lanes.CHANNELS - 1)
+    )
     chosen = rng.integers(0, 99, count).astype(np.uint32)
-    state = np.zeros((CHANNELS, LANES), np.float32)
+    state = np.zeros((lanes.CHANNELS, lanes.LANES), np.float32)
     state[0] = 1
     more = blended(record, chosen, half, drop, state.reshape(-1))
-    wanted, mark = np.zeros((CHANNELS, LANES)), np.zeros(LANES, np.uint32)
+    wanted, mark = np.zeros((lanes.CHANNELS, lanes.LANES)), np.zeros(lanes.LANES, np.uint32)
     wanted[0] = 1
-    x, y = np.arange(LANES) % 4 + 0.5, np.arange(LANES) // 4 + 0.5
+    x, y = np.arange(lanes.LANES) % 4 + 0.5, np.arange(lanes.LANES) // 4 + 0.5
     for k in chosen:
         r = record[k].astype(np.float64)
-        dx, dy, (a, b, c) = x - r[R_U], y - r[R_V], r[R_CONIC : R_CONIC + 3]
-        power = 8 * (r[R_LEVEL] - (a * dx + b * dy) * dx - c * dy * dy)
-        alpha = np.where(power >= MIN_ALPHA_LOG2, np.minimum(2**power, MAX_ALPHA), 0)
+        dx, dy, (a, b, c) = (
+            x - r[project.R_U],
+            y - r[project.R_V],
+            r[project.R_CONIC : project.R_CONIC + 3],
+        )
+        power = 8 * (r[project.R_LEVEL] - (a * dx + b * dy) * dx - c * dy * dy)
+        alpha = np.where(power >= project.MIN_ALPHA_LOG2, np.minimum(2**power, lanes.MAX_ALPHA), 0)
         before = wanted[0].copy()
         clear = before * (1 - alpha)
         mark[(before > 0.5) & (clear <= 0.5)] = k + 1
-        ends = drop & (clear <= LAST_LIGHT)
-        wanted[1:] += np.where(ends, 0, before - clear) * r[R_COLOR : R_COLOR + CHANNELS - 1, None]
+        ends = drop & (clear <= lanes.LAST_LIGHT)
+        wanted[1:] += (
+            np.where(ends, 0, before - clear)
+            * r[project.R_COLOR : project.R_COLOR + lanes.CHANNELS - 1, None]
+        )
         wanted[0] = np.where(ends, -abs(before), clear)
     if half:
-        assert (state[DEPTH_ROW].view(np.uint32) == mark).all() and mark.any() == (count > 0)
-        state[DEPTH_ROW] = wanted[DEPTH_ROW]
+        assert (state[lanes.DEPTH_ROW].view(np.uint32) == mark).all() and mark.any() == (count > 0)
+        state[lanes.DEPTH_ROW] = wanted[lanes.DEPTH_ROW]
     np.testing.assert_allclose(state, wanted, rtol=1e-4, atol=2e-5)
     assert more == (wanted[0] > 1e-4).any()
     assert (wanted[0] < 0).any() == (drop and count == 60)

@@ -36,15 +36,6 @@ def test_a_frame_by_itself_has_the_bytes_of_the_drive(scene, ground, drive):
     assert len(set(drive.values())) == CONFIG.frames
 
 
-def test_other_threads_and_earlier_frames_again_give_the_same_bytes(scene, drive, threads):
-    threads(1)
-    ground = pipeline.ground_of(scene, CONFIG, DRIVE)
-    sequence = pipeline.FrameSequence(scene, ground, DRIVE, CONFIG)
-    for index in (9, 2, 3, 2):
-        ((picture, report),) = sequence.frames([index])
-        assert report.index == index and picture.tobytes() == drive[index], index
-
-
 def test_a_late_frame_makes_and_simulates_only_its_own_leg(scene, ground, drive, monkeypatch):
     begun = []
 

@@ -17,7 +17,7 @@ from rainsim.lod.cut import cut
 from rainsim.rain.exposure import rain_exposure
 from rainsim.raster import prepare
 from rainsim.scene.big import open_pages
-from rainsim.terrain.path_ground import follows_path, path_ground
+from rainsim.terrain.path_ground import path_ground
 
 SIZE = np.array([0.9, 0.6, 0.5])  # m, of the car
 AXLES, WHEEL, TYRE = 0.3, 0.22, (0.1, 0.1)  # m: places of the wheels; width and radius
@@ -90,13 +90,6 @@ def test_the_car_changes_the_picture_by_more_than_itself(scene, ground, drive):
 
 def test_the_account_of_each_frame_closes(drive):
     assert all(abs(report.ledger["residual"]) < 1e-6 for _, _, report, _ in drive.values())
-
-
-def test_auto_takes_legs_with_traffic(scene, monkeypatch):
-    config = CONFIG.replace(ground_map="auto")
-    assert not follows_path(scene, config, DRIVE)
-    monkeypatch.setattr("rainsim.terrain.path_ground.MOST_CELLS", 20_000)
-    assert follows_path(scene, config, DRIVE)
 
 
 def test_chunks_with_traffic_follow_the_path(scene, tmp_path):

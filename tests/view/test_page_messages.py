@@ -10,16 +10,8 @@ from hostile_page import LEVEL, HostilePage, hostile_messages, serves
 from pages import free_port, viewing
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError, RainsimError
+from rainsim.view import page_messages
 from rainsim.view.home import Home
-from rainsim.view.page_messages import (
-    MOST_UPLOADS,
-    WORDS_EVERY,
-    UnfinishedError,
-    Uploads,
-    require_upload,
-    require_value,
-    require_values,
-)
 from rainsim.view.painter import Painter
 from rainsim.view.session import Viewpoint
 
@@ -28,7 +20,7 @@ CAMERA = {name: value for name, value in LEVEL.items() if name != "type"}
 
 
 def test_a_camera_that_can_be_passes_and_others_do_not():
-    require_values("ViewerCameraMessage", CAMERA)
+    page_messages.require_values("ViewerCameraMessage", CAMERA)
     for name, value in (
         ("wxyz", [0, 0, 0, 0]), ("wxyz", [1, 1, 0, 0]), ("position", [0, float("nan"), 0]),
         ("position", [1e300, 0, 0]), ("fov", 1e-300), ("fov", 3.1), ("fov", True),
@@ -36,7 +28,7 @@ def test_a_camera_that_can_be_passes_and_others_do_not():
         ("owner", []),
     ):  # fmt: skip
         with pytest.raises(ParameterError):
-            require_values("ViewerCameraMessage", CAMERA | {name: value})
+            page_messages.require_values("ViewerCameraMessage", CAMERA | {name: value})
 
 
 def test_controls_keep_to_their_limits():
@@ -53,24 +45,27 @@ def test_controls_keep_to_their_limits():
         (tick, False),
         (button, True),
     ):
-        require_value(control, value)
+        page_messages.require_value(control, value)
     stopped = SimpleNamespace(label="stop", value=False, disabled=True)
     for control, value in ((number, 1e300), (number, -7), (number, float("nan")), (number, "9"),
                            (number, True), (choice, "c"), (choice, []), (tick, 1), (stopped, True),
                            (SimpleNamespace(label="file", value=None), b"")):  # fmt: skip
         with pytest.raises(ParameterError, match=f"{control.label} is .*; it must be"):
-            require_value(control, value)
-    with pytest.raises(UnfinishedError):  # of 64, the first digit
-        require_value(number, 6)
-    require_upload(SimpleNamespace(label="file", value=SimpleNamespace(content=b"")))
+            page_messages.require_value(control, value)
+    with pytest.raises(page_messages.UnfinishedError):  # of 64, the first digit
+        page_messages.require_value(number, 6)
+    page_messages.require_upload(SimpleNamespace(label="file", value=SimpleNamespace(content=b"")))
     with pytest.raises(ParameterError, match="width takes no file"):
-        require_upload(number)
+        page_messages.require_upload(number)
 
 
 def test_uploads_do_not_pile_up():
-    uploads, pages = Uploads(), [threading.Event(), threading.Event()]  # what can be kept weakly
+    uploads, pages = (
+        page_messages.Uploads(),
+        [threading.Event(), threading.Event()],
+    )  # what can be kept weakly
     start = {"transfer_uuid": "0", "size_bytes": 9}
-    for n in range(MOST_UPLOADS):
+    for n in range(page_messages.MOST_UPLOADS):
         uploads.receive(pages[n % 2], "FileTransferStartUpload", start | {"transfer_uuid": str(n)})
     with pytest.raises(ParameterError, match="on their way already"):
         uploads.receive(pages[0], "FileTransferStartUpload", start | {"transfer_uuid": "more"})
@@ -174,7 +169,7 @@ def test_hostile_messages_by_the_thousand(scene_folder, tmp_path):
         page = entered(port)
         for _ in range(THOROUGH // 100):
             page = sent(page, port, rng, 100)
-            page.wait_for(lambda: False, WORDS_EVERY)  # one answer a second
+            page.wait_for(lambda: False, page_messages.WORDS_EVERY)  # one answer a second
             assert process.poll() is None and serves(port)
         later = entered(port)
         print(f"{THOROUGH} messages, {len(page.notes)} answers, {len(later.controls)} controls")

@@ -1,6 +1,5 @@
 """The session behind the page, on the tiny scene and without a browser."""
 
-import json
 import threading
 import time
 from dataclasses import replace
@@ -17,8 +16,8 @@ from rainsim.config.settings import Config, mm_per_hour
 from rainsim.errors import ParameterError
 from rainsim.io.images import read_image
 from rainsim.pipeline import FrameSequence, render_rain
-from rainsim.render.shutter import shutter_end
-from rainsim.scene.cameras import look_at, read_cameras, resize_to
+from rainsim.render.shutter import PathMotion
+from rainsim.scene.cameras import look_at, resize_to
 from rainsim.scene.folder import override_ground_frame, write_scene
 from rainsim.scene.library import load_scene
 from rainsim.surface.offered_views import offered_cameras
@@ -350,7 +349,7 @@ def path_frame(session, cameras, index):
     """One frame of a path as `rainsim run --path` draws it, with the session's parts."""
     config, frame = session.config, session.scene.ground_frame
     path, moment = [frame.camera_in_ground(camera) for camera in cameras], config.moment(index)
-    end = shutter_end(path, index, config.at(moment / config.fps).render.exposure, config.fps)
+    end = PathMotion(path, config.fps).end(index, config.at(moment / config.fps).render.exposure)
     session._follow()
     return session.renderer.draw(replace(cameras[index]), session.water.state(moment), end)[0]
 
@@ -394,31 +393,6 @@ def test_a_shot_is_drawn_by_its_command_to_the_byte(scene, tmp_path, rainsim_run
     (frame,) = (taken.folder / "drawn/frames").iterdir()
     assert frame.name == "00002.png"
     np.testing.assert_array_equal(read_image(frame), read_image(taken.folder / "picture.png"))
-
-
-@pytest.mark.slow
-def test_a_path_is_drawn_by_its_command_to_the_byte(scene, tmp_path, rainsim_run):
-    folder = tmp_path / "tiny"
-    write_scene(folder, scene)
-    scene = load_scene(folder)
-    low = settings(scene, fps=10.0)
-    session = Session(scene, low)
-    session.make()
-    view, high = session.viewpoint_of(scene.cameras[0]), low.replace(brightness=1.5)
-    keyframes = [Keyframe(view, low), Keyframe(other(view, 0.1), high, 0.2)]
-    taken = Home(tmp_path / "out", str(folder)).save_path(session, keyframes, *SIZE)
-    path = read_cameras(taken.folder / "camera_path.json")
-    assert (
-        len(path) == 3 and json.loads((taken.folder / "camera_path.json").read_text())["keyframes"]
-    )
-    done = rainsim_run(taken.command)
-    assert done.exit_code == 0, done.output
-    drawn = sorted((taken.folder / "drawn/frames").iterdir())
-    config = Config.from_preset(taken.folder / "preset.toml")
-    session.set_config(config)
-    session.make()
-    for index in range(3):
-        np.testing.assert_array_equal(read_image(drawn[index]), path_frame(session, path, index))
 
 
 @pytest.fixture

@@ -9,34 +9,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.cuda import drops
 from rainsim.cuda.driver import Counted
-from rainsim.cuda.drops import (
-    BLOCKS,
-    CLASS,
-    COLUMN,
-    DIAMETER,
-    KIND,
-    ROW,
-    TIME,
-    X,
-    Y,
-    Z,
-)
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.streaks import view_of
 from rainsim.cuda.warp import GROUP, GROUPS, THREADS, claim_row
+from rainsim.particles import splash
 from rainsim.particles.crown import FINE_PIXEL, LONGEST_JET, crown_life
 from rainsim.particles.line_raster import CX, FX, FY
-from rainsim.particles.splash import (
-    LONGEST_LIFE,
-    SMALLEST_ON_FILM,
-    SMALLEST_SPLASH,
-    WET_DEPTH,
-    Impact,
-    longest_flight,
-    splashes_on,
-)
 from rainsim.particles.splash_pass import MARGIN, WaterDepth, list_splash
 from rainsim.particles.streaks import draw_lines
 from rainsim.rain.heightfield import GROUND
@@ -74,10 +55,10 @@ def still_shows(diameter, speed, under, age, pixel):
     Far splashes show while their crown stands, near ones longer. `pixel` is the width [m] of a
     pixel there.
     """
-    if not splashes_on(under, diameter, speed):
+    if not splash.splashes_on(under, diameter, speed):
         return False
-    standing = under > WET_DEPTH and age < crown_life(diameter, speed)
-    return standing or (pixel < FINE_PIXEL and age < max(longest_flight(speed), LONGEST_JET))
+    standing = under > splash.WET_DEPTH and age < crown_life(diameter, speed)
+    return standing or (pixel < FINE_PIXEL and age < max(splash.longest_flight(speed), LONGEST_JET))
 
 
 @cuda.jit(device=True)
@@ -119,17 +100,21 @@ def list_splashes(
         cuda.syncthreads()
         n, deep, under, wanted = begin + thread, -1.0, water.film[0], False
         if n < listed:
-            b, age = labels[which, n, CLASS], time - values[which, n, TIME]
-            if b >= least[0] and -exposure <= age < LONGEST_LIFE:
+            b, age = labels[which, n, drops.CLASS], time - values[which, n, drops.TIME]
+            if b >= least[0] and -exposure <= age < splash.LONGEST_LIFE:
                 deep = seen_at(
-                    values[which, n, X], values[which, n, Y], values[which, n, Z], sent, scene
+                    values[which, n, drops.X],
+                    values[which, n, drops.Y],
+                    values[which, n, drops.Z],
+                    sent,
+                    scene,
                 )
             if deep > 0.0:
-                if labels[which, n, KIND] == GROUND:
-                    row, column = labels[which, n, ROW], labels[which, n, COLUMN]
+                if labels[which, n, drops.KIND] == GROUND:
+                    row, column = labels[which, n, drops.ROW], labels[which, n, drops.COLUMN]
                     under += np.float64(water.ground[row, column])
                 wanted = still_shows(
-                    values[which, n, DIAMETER], abs(velocity[b, 2]), under, age, deep / focal
+                    values[which, n, drops.DIAMETER], abs(velocity[b, 2]), under, age, deep / focal
                 )
         at = claim_row(many, 0, wanted)
         if wanted:
@@ -137,11 +122,12 @@ def list_splashes(
         cuda.syncthreads()
         for at in range(group, many[0], THREADS // GROUP):
             n = chosen[at]
-            b = labels[which, n, CLASS]
-            impact = Impact(
-                lists.ids[which, n], values[which, n, X], values[which, n, Y], values[which, n, Z],
-                velocity[b, 0], velocity[b, 1], abs(velocity[b, 2]), values[which, n, DIAMETER],
-                depths[at, 1], time - values[which, n, TIME],
+            b = labels[which, n, drops.CLASS]
+            impact = splash.Impact(
+                lists.ids[which, n], values[which, n, drops.X], values[which, n, drops.Y],
+                values[which, n, drops.Z], velocity[b, 0], velocity[b, 1], abs(velocity[b, 2]),
+                values[which, n, drops.DIAMETER],
+                depths[at, 1], time - values[which, n, drops.TIME],
             )  # fmt: skip
             list_splash(impact, depths[at, 0] / focal, exposure, count_out, lines_out)
         cuda.syncthreads()
@@ -186,7 +172,7 @@ class Splashes:
 
     def update(self, field, film):
         """Set rain and water of the next picture; arguments as `draw_splashes` has them."""
-        smallest = SMALLEST_ON_FILM if film > WET_DEPTH else SMALLEST_SPLASH
+        smallest = splash.SMALLEST_ON_FILM if film > splash.WET_DEPTH else splash.SMALLEST_SPLASH
         least = np.searchsorted(field.spectrum.edges[1:], smallest, side="right")
         self._now.update(film=film, least=least)
 
@@ -196,7 +182,7 @@ class Splashes:
             self.lines = None  # freed before more is asked for
             self.lines = cuda.device_array((2 * count, 7), np.float64)
         seen = self._streaks
-        draw_list[BLOCKS, GROUPS](
+        draw_list[drops.BLOCKS, GROUPS](
             self._now["count"], self.lines, seen.view, seen.scene, seen.picture
         )
         seen.resolve(self.alpha)

@@ -20,17 +20,7 @@ from rainsim.cuda.particles.line_raster import TILE, read_depth, resolve
 from rainsim.cuda.warp import GROUP, GROUPS, THREADS, WHOLE, ballot, claim_row
 from rainsim.errors import ParameterError
 from rainsim.numerics.random import uniform
-from rainsim.particles.line_raster import (
-    APERTURE,
-    DEPTH_TILE,
-    FX,
-    FY,
-    NEAR,
-    PER_FOCUS,
-    Path,
-    SceneDepth,
-    draw_path,
-)
+from rainsim.particles import line_raster
 from rainsim.particles.shutter_view import (
     SeenAir,
     ShutterView,
@@ -43,16 +33,8 @@ from rainsim.particles.shutter_view import (
     step_from,
 )
 from rainsim.particles.streaks import CLEAR, HIDDEN, drop_offset, may_show
+from rainsim.rain import poisson_cells
 from rainsim.rain.heightfield import HeightFields, first_hit
-from rainsim.rain.poisson_cells import (
-    Cube,
-    DropField,
-    cube_key,
-    drop_diameter,
-    drop_id,
-    drop_place,
-    thinned_out,
-)
 from rainsim.rain.size_distribution import CLASSES
 
 LARGE = np.float32(400)  # px that a path touches, from which on a whole warp draws it
@@ -63,7 +45,7 @@ MOST_ROOM = 8 * ROOM  # drops that may be in view: 60 bytes each
 # the share of it that the drop goes (less than 0 for large drops), and the diameter [m].
 PATH = 9
 X, Y, Z, X_END, Y_END, Z_END, IS_CLEAR, SHARE, DIAMETER = range(PATH)
-_NEAR = np.float32(NEAR)
+_NEAR = np.float32(line_raster.NEAR)
 
 
 @cuda.jit(device=True)
@@ -118,7 +100,7 @@ def list_drops(counts, air, sent, field, scene, sought_out, places_out, words_ou
         corner = corner_end = (ZERO, ZERO, ZERO)
         if task < total:
             b, i, j, k = _cube_of(task, counts, air)
-            corner, corner_end = cube_corners(Cube(b, i, j, k), field, view)
+            corner, corner_end = cube_corners(poisson_cells.Cube(b, i, j, k), field, view)
             wanted = cube_in_view(
                 corner, corner_end, np.float32(field.cube[b]), cube_radius(b, field, view, air),
                 air.far[b], view,
@@ -131,20 +113,20 @@ def list_drops(counts, air, sent, field, scene, sought_out, places_out, words_ou
         cuda.syncthreads()
         for begin in range(0, many[0], THREADS // GROUP):
             at, n, chance = begin + thread // GROUP, most, 0.0
-            cube = Cube(seen[0, 0], seen[0, 1], seen[0, 2], seen[0, 3])
+            cube = poisson_cells.Cube(seen[0, 0], seen[0, 1], seen[0, 2], seen[0, 3])
             word = key = field.class_key[0]
             if at < many[0]:
-                cube = Cube(seen[at, 0], seen[at, 1], seen[at, 2], seen[at, 3])
-                key, n = cube_key(cube, field), lane
+                cube = poisson_cells.Cube(seen[at, 0], seen[at, 1], seen[at, 2], seen[at, 3])
+                key, n = poisson_cells.cube_key(cube, field), lane
                 chance = uniform(key)
             while True:
                 # The cube holds drop n if its number is beyond that chance, see `drops_in_cube`.
                 there = n < most and chance >= field.count[cube.size_class, n]
                 if ballot(there) == 0:
                     break
-                path, shows = Path(ZERO, ZERO, ZERO, ZERO, ZERO, ZERO), HIDDEN
+                path, shows = line_raster.Path(ZERO, ZERO, ZERO, ZERO, ZERO, ZERO), HIDDEN
                 if there:
-                    word = drop_id(key, n)
+                    word = poisson_cells.drop_id(key, n)
                     path, shows = _path_of(word, cube, corners[at], air, field, view, scene)
                 place = claim_row(sought_out, 0, shows != HIDDEN)
                 if shows != HIDDEN and place < words_out.shape[0]:
@@ -166,12 +148,12 @@ def _path_of(word, cube, corners, air, field, view, scene):
     x, y, z = drop_offset(word, cube, field)
     p, q, r = step_from((corners[0], corners[1], corners[2]), view.axes, x, y, z)
     if not _NEAR <= r < air.far[b]:
-        return Path(ZERO, ZERO, ZERO, ZERO, ZERO, ZERO), HIDDEN
+        return line_raster.Path(ZERO, ZERO, ZERO, ZERO, ZERO, ZERO), HIDDEN
     p_end, q_end, r_end = step_from((corners[3], corners[4], corners[5]), view.axes_end, x, y, z)
-    path = Path(p, q, r, p_end, q_end, r_end)
+    path = line_raster.Path(p, q, r, p_end, q_end, r_end)
     shows = may_show(path, view.lens, scene)
-    _, _, height = drop_place(word, cube, field)
-    if shows != HIDDEN and thinned_out(word, b, height, field):
+    _, _, height = poisson_cells.drop_place(word, cube, field)
+    if shows != HIDDEN and poisson_cells.thinned_out(word, b, height, field):
         shows = HIDDEN
     return path, shows
 
@@ -192,13 +174,15 @@ def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, la
     time, exposure = sent.time[0], sent.exposure[0]
     for n in range(cuda.grid(1), min(sought[0], words.shape[0]), cuda.gridsize(1)):
         b, word = places[n, 0], words[n]
-        x, y, z = drop_place(word, Cube(b, places[n, 1], places[n, 2], places[n, 3]), field)
+        x, y, z = poisson_cells.drop_place(
+            word, poisson_cells.Cube(b, places[n, 1], places[n, 2], places[n, 3]), field
+        )
         stop, _, _, _ = first_hit(
             x, y, z, field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2], -np.inf,
             time + exposure, surfaces,
         )  # fmt: skip
         share = max(np.float32(min((stop - time) / exposure, 1.0)), ZERO)
-        paths_out[n, DIAMETER] = diameter = np.float32(drop_diameter(word, b, field))
+        paths_out[n, DIAMETER] = diameter = np.float32(poisson_cells.drop_diameter(word, b, field))
         if share > ZERO and _pixels(paths_out[n], diameter, sent.lens) > LARGE:
             at = cuda.atomic.add(many_out, 0, 1)
             if at < large_out.shape[0]:
@@ -211,11 +195,12 @@ def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, la
 def _pixels(path, diameter, lens):
     """Return about how many pixels a row of `paths` touches."""
     nearest = min(path[Z], path[Z_END])
-    u = lens[FX] * abs(path[X_END] / path[Z_END] - path[X] / path[Z])
-    v = lens[FY] * abs(path[Y_END] / path[Z_END] - path[Y] / path[Z])
-    wide = lens[FX] * diameter / nearest
-    wide += lens[APERTURE] * max(
-        abs(ONE / path[Z] - lens[PER_FOCUS]), abs(ONE / path[Z_END] - lens[PER_FOCUS])
+    u = lens[line_raster.FX] * abs(path[X_END] / path[Z_END] - path[X] / path[Z])
+    v = lens[line_raster.FY] * abs(path[Y_END] / path[Z_END] - path[Y] / path[Z])
+    wide = lens[line_raster.FX] * diameter / nearest
+    wide += lens[line_raster.APERTURE] * max(
+        abs(ONE / path[Z] - lens[line_raster.PER_FOCUS]),
+        abs(ONE / path[Z_END] - lens[line_raster.PER_FOCUS]),
     )
     return (wide + TWO) * (u + v + wide + TWO)
 
@@ -255,8 +240,8 @@ def draw_large(many, large, paths, lens, scene, picture):
 
 @cuda.jit(device=True)
 def _draw(row, share, lens, scene, picture):
-    path = Path(row[X], row[Y], row[Z], row[X_END], row[Y_END], row[Z_END])
-    draw_path(path, share, row[DIAMETER], lens, scene, row[IS_CLEAR] > ZERO, picture)
+    path = line_raster.Path(row[X], row[Y], row[Z], row[X_END], row[Y_END], row[Z_END])
+    line_raster.draw_path(path, share, row[DIAMETER], lens, scene, row[IS_CLEAR] > ZERO, picture)
 
 
 class Streaks:
@@ -289,17 +274,19 @@ class Streaks:
             "sought": ((1,), np.int32), "many": ((1,), np.int32),
         }  # fmt: skip
         self.now = FrameUniforms(names | arrays_of(field))
-        tiles = 2, -(-height // DEPTH_TILE), -(-width // DEPTH_TILE)
+        tiles = 2, -(-height // line_raster.DEPTH_TILE), -(-width // line_raster.DEPTH_TILE)
         self.alpha = cuda.device_array((height, width), np.float32)
         self._make_room(ROOM)
         self._large = cuda.device_array(MANY, np.int32)
         self.picture = cuda.to_device(np.zeros(width * height, np.int64))
         self.view, self._air, self._field = (
             kind(*(self.now[name] for name in kind._fields))
-            for kind in (ShutterView, SeenAir, DropField)
+            for kind in (ShutterView, SeenAir, poisson_cells.DropField)
         )
         columns = cuda.device_array(width * height, np.float32)
-        self.scene = SceneDepth(width, height, columns, cuda.device_array(tiles, np.float32))
+        self.scene = line_raster.SceneDepth(
+            width, height, columns, cuda.device_array(tiles, np.float32)
+        )
         self.drips = self.spray = None
 
     def update(
@@ -310,7 +297,7 @@ class Streaks:
         view = shutter_view(camera, time, exposure, camera_end, aperture, focus)
         air = seen_air(field, camera, view, far, aperture, focus)
         sides = np.maximum(air.last - air.first + 1, 0)
-        cubes = sides[:, 0] * sides[:, 1] * sides[:, 2] * (air.far > NEAR)
+        cubes = sides[:, 0] * sides[:, 1] * sides[:, 2] * (air.far > line_raster.NEAR)
         if field is not self._listed:
             self._listed = field
             self.now.update(**field.arrays()._asdict())
@@ -340,7 +327,7 @@ class Streaks:
         now, lens, scene = self.now, self.now["lens"], self.scene
         now.send()
         _, rows, columns = scene.tiles.shape
-        threads = (1, 1) if SIMULATED else (DEPTH_TILE, DEPTH_TILE)
+        threads = (1, 1) if SIMULATED else (line_raster.DEPTH_TILE, line_raster.DEPTH_TILE)
         read_depth[(columns, rows), threads](depth, scene.columns, scene.tiles)
         list_drops[BLOCKS, THREADS](
             now["counts"], self._air, self.view, self._field, scene, *self._sought, self._paths

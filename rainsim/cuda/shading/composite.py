@@ -6,13 +6,7 @@ from rainsim.constants import HALF, ONE
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.numerics.interpolation import bilinear_color
 from rainsim.scene.view import column_slope, row_slope, view_from
-from rainsim.shading.composite import (
-    eight_bit,
-    field_place,
-    through_rain,
-    tone_curve,
-    transmittance,
-)
+from rainsim.shading import composite
 
 
 @cuda_kernel
@@ -31,17 +25,17 @@ def compose(picture, depth, drops, light, camera, brightness, image_out):
     view = view_from(camera)
     a = column_slope(view, column)
     b = row_slope(view, row)
-    clear = transmittance(drops.fog, depth[row, column], a, b)
+    clear = composite.transmittance(drops.fog, depth[row, column], a, b)
     past_splashes, past_drops = (
         ONE - drops.splash_alpha[row, column], ONE - drops.rain_alpha[row, column]
     )  # fmt: skip
     field = light.drops
-    u = field_place(column, width, field.shape[1]) + HALF
-    v = field_place(row, height, field.shape[0]) + HALF
+    u = composite.field_place(column, width, field.shape[1]) + HALF
+    v = composite.field_place(row, height, field.shape[0]) + HALF
     shown, around = bilinear_color(field, u, v), bilinear_color(light.around, u, v)
     for c in range(3):
-        value = through_rain(
+        value = composite.through_rain(
             picture[row, column, c], shown[c], around[c], light.air[c], clear,
             past_splashes, past_drops,
         )  # fmt: skip
-        image_out[row, column, c] = eight_bit(tone_curve(value * brightness[0]))
+        image_out[row, column, c] = composite.eight_bit(composite.tone_curve(value * brightness[0]))

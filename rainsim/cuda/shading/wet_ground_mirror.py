@@ -18,20 +18,9 @@ from rainsim.cuda.shading.wet_pass import BLOCK, DeviceView, blocks
 from rainsim.numerics.ripmap import LEVELS
 from rainsim.reflection.water_pass import WetPicture
 from rainsim.scene.view import View, view_from
+from rainsim.shading import wet_ground_mirror
 from rainsim.shading.lamp_images import LampView, lamps_seen, without_lamps
 from rainsim.shading.microfacet import LOBE
-from rainsim.shading.wet_ground_mirror import (
-    ABOVE,
-    FIELD_STEP,
-    MOST_ASIDE,
-    MOST_UP,
-    GroundSlopes,
-    LevelPicture,
-    block_ray,
-    field_at,
-    level_camera,
-    mirrored_light,
-)
 
 COARSEST = 1 << (LEVELS - 1)
 _NOWHERE = View(np.eye(3, dtype=np.float32), np.zeros(3, np.float32), *np.float32([1, 1, 0, 0]))
@@ -105,10 +94,12 @@ def mirrored_field(camera, step, ground, lobe, level, level_size, environment, f
     if j >= field_out.shape[0] or i >= field_out.shape[1]:
         return
     view = view_from(camera)
-    x, y, z = block_ray(view, step, j, i)
+    x, y, z = wet_ground_mirror.block_ray(view, step, j, i)
     depth = level.depth[: int(level_size[1]), : int(level_size[0])]
-    drawn = LevelPicture(level.atlas, depth, level.lens, level.forward)
-    red, green, blue = mirrored_light(x, y, z, view.eye, ground, lobe, drawn, environment)
+    drawn = wet_ground_mirror.LevelPicture(level.atlas, depth, level.lens, level.forward)
+    red, green, blue = wet_ground_mirror.mirrored_light(
+        x, y, z, view.eye, ground, lobe, drawn, environment
+    )
     field_out[j, i, 0], field_out[j, i, 1], field_out[j, i, 2] = red, green, blue
 
 
@@ -122,7 +113,7 @@ def add_reflection(bare, cover, field, step, picture_out):
     share = cover[row, column]
     red, green, blue = bare[row, column, 0], bare[row, column, 1], bare[row, column, 2]
     if share > ZERO:
-        r, g, b = field_at(field, ONE / np.float32(step), row, column)
+        r, g, b = wet_ground_mirror.field_at(field, ONE / np.float32(step), row, column)
         red, green, blue = red + share * r, green + share * g, blue + share * b
     picture_out[row, column, 0] = red
     picture_out[row, column, 1] = green
@@ -157,8 +148,11 @@ class LevelView:
 
         Waits where there may be lamps.
         """
-        level = level_camera(camera)
-        room = math.ceil(2 * MOST_ASIDE * level.fx), math.ceil((ABOVE + MOST_UP) * level.fx)
+        level = wet_ground_mirror.level_camera(camera)
+        room = (
+            math.ceil(2 * wet_ground_mirror.MOST_ASIDE * level.fx),
+            math.ceil((wet_ground_mirror.ABOVE + wet_ground_mirror.MOST_UP) * level.fx),
+        )
         if room != self._room:
             self._allocate(*room)
         self._axis.update(forward=level.forward[:2])
@@ -202,7 +196,7 @@ class LevelView:
     def arrays(self):
         """The picture as kernels take it, a `LevelPicture`."""
         depth, forward = self._pictures[1], self._axis["forward"]
-        return LevelPicture(self._atlas, depth, self.camera.lens, forward)
+        return wet_ground_mirror.LevelPicture(self._atlas, depth, self.camera.lens, forward)
 
 
 def _pictures(height, width):
@@ -221,7 +215,9 @@ class WetGroundLight:
     def __init__(self, tables):
         self._tables = tables
         slopes, corner, *place = tables.conductor.ground.film.ground
-        self._ground = GroundSlopes(cuda.to_device(slopes), cuda.to_device(corner), *place)
+        self._ground = wet_ground_mirror.GroundSlopes(
+            cuda.to_device(slopes), cuda.to_device(corner), *place
+        )
         self._lobe, self._field = cuda.to_device(LOBE), None
         self._level = LevelView(tables)
         self._shown = None, None  # camera and look of the last picture
@@ -238,7 +234,7 @@ class WetGroundLight:
             if shown is not before or scene.changes != look:
                 level.draw(scene, shown)
             self._shown = shown, scene.changes
-        step = max(1, round(camera.fx / FIELD_STEP))
+        step = max(1, round(camera.fx / wet_ground_mirror.FIELD_STEP))
         shape = -(-camera.height // step), -(-camera.width // step), 3
         if self._field is None or self._field.shape != shape:
             self._field = cuda.device_array(shape, np.float32)

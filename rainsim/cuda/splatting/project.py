@@ -27,23 +27,9 @@ from rainsim.cuda.jit import (
     load_halves,
     store4,
 )
+from rainsim.splatting import project
 from rainsim.splatting.level_choice import is_drawn
 from rainsim.splatting.prepared import LANES, OPACITY
-from rainsim.splatting.project import (
-    MIN_ALPHA_LOG2,
-    Frustum,
-    Lens,
-    Pose,
-    chunk_is_out,
-    color_constant,
-    color_degree_1,
-    color_degree_2,
-    color_degree_3,
-    compensation,
-    facing_normal,
-    half_extents,
-    project_splat,
-)
 
 RECORD = 16  # float32 numbers of a projected splat: 64 bytes
 NUMBERS = 9 + 4  # rows of a chunk's geometry, see `rainsim.splatting.prepared`
@@ -89,9 +75,9 @@ def start(
     if i < begin_out.size:
         begin_out[i], end_out[i] = 0, 0
     if i < chunks:
-        frustum = Frustum(view, lens, size, near[0], plane, orthographic)
+        frustum = project.Frustum(view, lens, size, near[0], plane, orthographic)
         drawn = is_drawn(span[i], around[i], frustum, near[3])
-        seen_out[i] = drawn and not chunk_is_out(box[i], frustum)
+        seen_out[i] = drawn and not project.chunk_is_out(box[i], frustum)
 
 
 @fast_device
@@ -103,24 +89,28 @@ def splat_color(sh, chunk, lane, groups, bands, x, y, z):
     at = 8 * (chunk * (groups * LANES) + lane)
     step = 8 * LANES
     r0, g0, b0, r1, g1, b1, r2, g2 = load_halves(sh, at)
-    red, green, blue = color_constant(r0), color_constant(g0), color_constant(b0)
+    red, green, blue = (
+        project.color_constant(r0),
+        project.color_constant(g0),
+        project.color_constant(b0),
+    )
     if bands > 1:
         b2, r3, g3, b3, r4, g4, b4, r5 = load_halves(sh, at + step)
-        red += color_degree_1(x, y, z, r1, r2, r3)
-        green += color_degree_1(x, y, z, g1, g2, g3)
-        blue += color_degree_1(x, y, z, b1, b2, b3)
+        red += project.color_degree_1(x, y, z, r1, r2, r3)
+        green += project.color_degree_1(x, y, z, g1, g2, g3)
+        blue += project.color_degree_1(x, y, z, b1, b2, b3)
         if bands > 2:
             g5, b5, r6, g6, b6, r7, g7, b7 = load_halves(sh, at + 2 * step)
             r8, g8, b8, r9, g9, b9, r10, g10 = load_halves(sh, at + 3 * step)
-            red += color_degree_2(x, y, z, r4, r5, r6, r7, r8)
-            green += color_degree_2(x, y, z, g4, g5, g6, g7, g8)
-            blue += color_degree_2(x, y, z, b4, b5, b6, b7, b8)
+            red += project.color_degree_2(x, y, z, r4, r5, r6, r7, r8)
+            green += project.color_degree_2(x, y, z, g4, g5, g6, g7, g8)
+            blue += project.color_degree_2(x, y, z, b4, b5, b6, b7, b8)
             if bands > 3:
                 b10, r11, g11, b11, r12, g12, b12, r13 = load_halves(sh, at + 4 * step)
                 g13, b13, r14, g14, b14, r15, g15, b15 = load_halves(sh, at + 5 * step)
-                red += color_degree_3(x, y, z, r9, r10, r11, r12, r13, r14, r15)
-                green += color_degree_3(x, y, z, g9, g10, g11, g12, g13, g14, g15)
-                blue += color_degree_3(x, y, z, b9, b10, b11, b12, b13, b14, b15)
+                red += project.color_degree_3(x, y, z, r9, r10, r11, r12, r13, r14, r15)
+                green += project.color_degree_3(x, y, z, g9, g10, g11, g12, g13, g14, g15)
+                blue += project.color_degree_3(x, y, z, b9, b10, b11, b12, b13, b14, b15)
     return max(red, ZERO), max(green, ZERO), max(blue, ZERO)
 
 
@@ -173,32 +163,32 @@ def record_splat(
     ahead = v20 * px + v21 * py + v22 * pz + v23 >= near
     above = p0 * px + p1 * py + p2 * pz >= p3
     none = np.int32(0)
-    if not (ahead and above and level > MIN_ALPHA_LOG2):
+    if not (ahead and above and level > project.MIN_ALPHA_LOG2):
         return False, none, none, none, none, none
     v00, v01, v02, v03 = load4(now, VIEW)
     v10, v11, v12, v13 = load4(now, VIEW + 4)
     fx, fy, cx, cy = load4(now, LENS)
     x_low, x_high, y_low, y_high = load4(now, LIMITS)
-    pose = Pose(v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23)
-    lens = Lens(fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic)
+    pose = project.Pose(v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23)
+    lens = project.Lens(fx, fy, cx, cy, x_low, x_high, y_low, y_high, orthographic)
     covariance = (
         geometry[g + 3 * LANES], geometry[g + 4 * LANES], geometry[g + 5 * LANES],
         geometry[g + 6 * LANES], geometry[g + 7 * LANES], geometry[g + 8 * LANES],
     )  # fmt: skip
-    x, y, z, u, v, a, b, c, m00, m11, determinant, spread = project_splat(
+    x, y, z, u, v, a, b, c, m00, m11, determinant, spread = project.project_splat(
         (px, py, pz), covariance, pose, lens
     )
     if not determinant > ZERO:
         return False, none, none, none, none, none
     if compensate:
-        level += compensation(spread, determinant)
-    ex, ey = half_extents(level, m00, m11)
+        level += project.compensation(spread, determinant)
+    ex, ey = project.half_extents(level, m00, m11)
     # Pixels whose centres lie in the ellipse's box, as in `rainsim.splatting.project`.
     left, right = max(u - ex - HALF, ZERO), min(u + ex - HALF, width - ONE)
     first, last = max(v - ey - HALF, ZERO), min(v + ey - HALF, height - ONE)
     left, first = np.float32(math.ceil(left)), np.float32(math.ceil(first))
     right, last = np.float32(math.floor(right)), np.float32(math.floor(last))
-    if not (level > MIN_ALPHA_LOG2 and right >= left and last >= first):
+    if not (level > project.MIN_ALPHA_LOG2 and right >= left and last >= first):
         return False, none, none, none, none, none
     ax, ay, az, _ = load4(now, EYE)
     dx = ax if orthographic else px - ax
@@ -209,7 +199,7 @@ def record_splat(
         sh, chunk, lane, groups, bands, dx * share, dy * share, dz * share
     )
     normal = geometry[g + 9 * LANES], geometry[g + 10 * LANES], geometry[g + 11 * LANES]
-    n0, n1, n2, distance = facing_normal(normal, (x, y, z), pose, orthographic)
+    n0, n1, n2, distance = project.facing_normal(normal, (x, y, z), pose, orthographic)
     at = RECORD * (chunk * LANES + lane)
     # The conic in whole log2: alpha = 2^(level - a dx^2 - b dx dy - c dy^2).
     store4(record_out, at, u, v, EIGHT * a, EIGHT * b)

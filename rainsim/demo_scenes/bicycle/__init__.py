@@ -12,29 +12,10 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from rainsim.demo_scenes.bicycle import bench, bike
+from rainsim.demo_scenes import build
+from rainsim.demo_scenes.bicycle import bench, bike, plants
 from rainsim.demo_scenes.bicycle.backdrop import far_trees, sky_cloud
 from rainsim.demo_scenes.bicycle.paving import bed_height, paving_cloud
-from rainsim.demo_scenes.bicycle.plants import (
-    BUSHES,
-    HEDGE_FACES,
-    TREES,
-    bush,
-    hedge,
-    lawn_cloud,
-    tree,
-)
-from rainsim.demo_scenes.build import (
-    Noise,
-    content_hash,
-    join,
-    moved,
-    sky_directions,
-    sky_share,
-    tilted_frame,
-    to_splats,
-    turn_about,
-)
 from rainsim.scene.types import Camera, Scene, pose_at
 
 SEED = 20140
@@ -52,33 +33,33 @@ CAPTURE_ORIGIN = np.array([0.35, -0.80, 1.10])  # m, where the capture frame has
 def make_bicycle() -> Scene:
     """Generate the scene; the same arrays every time."""
     rng = np.random.Generator(np.random.PCG64(SEED))
-    noise = Noise(rng)
+    noise = build.Noise(rng)
     ground = partial(bed_height, noise=noise)
     light = _ground_light()
-    cloud = join(
+    cloud = build.join(
         [
             paving_cloud(noise, rng, light),
             bench.bench_cloud(noise, rng),
             bike.bike_cloud(noise, ground),
-            lawn_cloud(noise, rng, light, BLADES),
-            *(bush(spot, rng) for spot in BUSHES),
-            *(tree(spot, noise, rng) for spot in TREES),
-            hedge(HEDGE_FACES[0], 0.032, 22_000, noise, rng),
-            hedge(HEDGE_FACES[1], 0.050, 9_000, noise, rng),
+            plants.lawn_cloud(noise, rng, light, BLADES),
+            *(plants.bush(spot, rng) for spot in plants.BUSHES),
+            *(plants.tree(spot, noise, rng) for spot in plants.TREES),
+            plants.hedge(plants.HEDGE_FACES[0], 0.032, 22_000, noise, rng),
+            plants.hedge(plants.HEDGE_FACES[1], 0.050, 9_000, noise, rng),
             far_trees(rng),
             sky_cloud(noise),
         ]
     )
     eyes = _eyes()
     forward = TARGET - eyes[0]
-    turn = turn_about((0, 0, 1), -np.arctan2(forward[1], forward[0]))  # ground_from_path
-    frame = tilted_frame(CAPTURE_TILT, METERS_PER_UNIT, CAPTURE_ORIGIN)
-    splats = to_splats(moved(cloud, turn), frame)
+    turn = build.turn_about((0, 0, 1), -np.arctan2(forward[1], forward[0]))  # ground_from_path
+    frame = build.tilted_frame(CAPTURE_TILT, METERS_PER_UNIT, CAPTURE_ORIGIN)
+    splats = build.to_splats(build.moved(cloud, turn), frame)
     cameras = tuple(
         frame.camera_in_capture(_camera(turn @ eye, turn @ TARGET, f"{k:02d}"))
         for k, eye in enumerate(eyes)
     )
-    return Scene("bicycle", splats, cameras, frame, source_hash=content_hash(splats))
+    return Scene("bicycle", splats, cameras, frame, source_hash=build.content_hash(splats))
 
 
 def _eyes():
@@ -112,7 +93,7 @@ def _ground_light():
     xx, yy = np.meshgrid(x, y, indexing="ij")
     table = np.stack([xx, yy, 0 * xx], axis=-1).reshape(-1, 3).astype(np.float32)
     boxes = np.concatenate([bench.occluders(), bike.occluders()])
-    share = sky_share(table, boxes, sky_directions(72)).reshape(xx.shape)
+    share = build.sky_share(table, boxes, build.sky_directions(72)).reshape(xx.shape)
 
     def light(points):
         where = (points[:, :2] - (x[0], y[0])) / spacing
@@ -125,10 +106,11 @@ def _ground_light():
             dx, dy = (points[:, :2] - foot).T
             value = value * (1 - 0.60 * np.exp(-((dx / 0.055) ** 2) - (dy / 0.075) ** 2))
         face = np.minimum(
-            np.abs(HEDGE_FACES[0] - points[:, 1]), np.abs(HEDGE_FACES[1] - points[:, 1])
+            np.abs(plants.HEDGE_FACES[0] - points[:, 1]),
+            np.abs(plants.HEDGE_FACES[1] - points[:, 1]),
         )
         value = value * (1 - 0.45 * np.exp(-face / 0.45))
-        for tx, ty, *_ in TREES:
+        for tx, ty, *_ in plants.TREES:
             d2 = ((points[:, 0] - tx) ** 2 + (points[:, 1] - ty) ** 2) / 2.2**2
             value = value * (1 - 0.40 * np.exp(-d2))
         return 0.04 + 0.96 * value**1.15

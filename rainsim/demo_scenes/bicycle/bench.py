@@ -4,16 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.demo_scenes.build import (
-    box,
-    join,
-    lit,
-    replace_colour,
-    sky_directions,
-    sky_share,
-    tube,
-    turn_about,
-)
+from rainsim.demo_scenes import build
 
 CENTRE = np.array([0.35, 0.20, 0.0])  # m, middle of the bench on the ground; it faces -y
 LENGTH = 1.70  # m
@@ -51,11 +42,13 @@ def feet():
 
 def _slat(centre, half, tone, noise, axes=None):
     """Return one slat along x with grain along its length."""
-    cloud = box(centre, half, tone, spacing=0.0155, along=0, stretch=3.0, axes=axes, sheen=0.12)
+    cloud = build.box(
+        centre, half, tone, spacing=0.0155, along=0, stretch=3.0, axes=axes, sheen=0.12
+    )
     shift = np.array([0.0, 3.1, 5.7]) * (centre[1] + 2 * centre[2])  # another plank, another grain
     grain = noise(cloud.position + shift, (0.55, 0.022, 0.022), octaves=3)
     patch = noise(cloud.position + 2 * shift, 0.4, octaves=2)
-    return replace_colour(cloud, cloud.colour * (1 + 0.11 * grain + 0.07 * patch)[:, None])
+    return build.replace_colour(cloud, cloud.colour * (1 + 0.11 * grain + 0.07 * patch)[:, None])
 
 
 def _slats(noise, rng):
@@ -66,7 +59,7 @@ def _slats(noise, rng):
         parts.append(
             _slat((0, y, SEAT_HEIGHT - drop), (LENGTH / 2, 0.032, 0.015), _tone(rng), noise)
         )
-    lean = turn_about((1, 0, 0), -BACK_LEAN).T
+    lean = build.turn_about((1, 0, 0), -BACK_LEAN).T
     for k in range(4):
         rise = 0.13 + 0.094 * k
         centre = np.array([0, 0.205, SEAT_HEIGHT]) + rise * lean[2]
@@ -100,9 +93,9 @@ def _end(x):
         (front, 0.019), (rear, 0.019), (post, 0.018), (arm, 0.021), (scroll, 0.012),
         (prop, 0.014), (brace, 0.012), (rail, 0.016),
     ]  # fmt: skip
-    parts = [tube(at(p), r, IRON, piece=0.03, around=7, sheen=0.35) for p, r in shapes]
+    parts = [build.tube(at(p), r, IRON, piece=0.03, around=7, sheen=0.35) for p, r in shapes]
     for y in FEET:
-        parts.append(box((x, y, 0.010), (0.032, 0.05, 0.010), IRON, spacing=0.02, stretch=1))
+        parts.append(build.box((x, y, 0.010), (0.032, 0.05, 0.010), IRON, spacing=0.02, stretch=1))
     return parts
 
 
@@ -111,9 +104,9 @@ def bench_cloud(noise, rng):
     parts = _slats(noise, rng)
     for x in ENDS:
         parts += _end(x)
-    cloud = join(parts)
-    cloud = replace_colour(cloud, cloud.colour, cloud.position + CENTRE)
+    cloud = build.join(parts)
+    cloud = build.replace_colour(cloud, cloud.colour, cloud.position + CENTRE)
     above = cloud.position + 0.02 * cloud.normal + (0, 0, 0.004)
-    share = sky_share(above.astype(np.float32), occluders(), sky_directions(40))
+    share = build.sky_share(above.astype(np.float32), occluders(), build.sky_directions(40))
     facing = 0.5 + 0.5 * cloud.normal[:, 2]
-    return lit(cloud, (0.16 + 0.84 * share) * (0.30 + 0.70 * facing))
+    return build.lit(cloud, (0.16 + 0.84 * share) * (0.30 + 0.70 * facing))

@@ -4,17 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.demo_scenes.build import (
-    OVERLAP,
-    box,
-    discs,
-    join,
-    lit,
-    replace_colour,
-    strands,
-    tube,
-    unit,
-)
+from rainsim.demo_scenes import build
 from rainsim.demo_scenes.street.layout import CORNER, SIDE_FACADE, SIDE_KERB, SIDE_REACH, Layout
 
 ENDS = (-26.0, 60.0)  # m, x range of the street
@@ -183,7 +173,7 @@ def _normals(points, noise, layout, reach=0.03):
     dx = bed_height(x + reach, y, noise, layout) - z
     dy = bed_height(x, np.where(y > 0, y - reach, y + reach), noise, layout) - z
     dy = np.where(y > 0, -dy, dy)
-    return unit(np.stack([-dx / reach, -dy / reach, np.ones_like(dx)], axis=1))
+    return build.unit(np.stack([-dx / reach, -dy / reach, np.ones_like(dx)], axis=1))
 
 
 def road_cloud(noise, rng, layout=LAYOUT):
@@ -216,10 +206,15 @@ def road_cloud(noise, rng, layout=LAYOUT):
     stone = stone + silt * (np.array([0.235, 0.215, 0.180]) - stone)
     colour[gutter] = stone[gutter]
     colour = _painted(colour, x, y, noise, rng, layout)
-    cloud = discs(
-        points, _normals(points, noise, layout), colour, size * OVERLAP, sheen=0.06, opacity=0.97
+    cloud = build.discs(
+        points,
+        _normals(points, noise, layout),
+        colour,
+        size * build.OVERLAP,
+        sheen=0.06,
+        opacity=0.97,
     )
-    return join([cloud, _specks(noise, rng, layout), *_lines(noise, rng, layout),
+    return build.join([cloud, _specks(noise, rng, layout), *_lines(noise, rng, layout),
                  *_covers(noise, rng, layout)])  # fmt: skip
 
 
@@ -257,7 +252,7 @@ def _specks(noise, rng, layout):
     size = rng.uniform(0.004, 0.009, count)
     keep = ~_within(x, layout.crossings)
     points = np.stack([x, y, z], axis=1)[keep]
-    return discs(points, (0, 0, 1), colour[keep], size[keep], thickness=8e-4, opacity=0.75)
+    return build.discs(points, (0, 0, 1), colour[keep], size[keep], thickness=8e-4, opacity=0.75)
 
 
 def _lines(noise, rng, layout):
@@ -267,7 +262,7 @@ def _lines(noise, rng, layout):
         x = x[~layout.beside_side_street(x, SIDE_KERB + CORNER)]
         y = np.full(x.size, side * (GUTTER + 0.05))
         points = np.stack([x, y, bed_height(x, y, noise, layout) + 0.001], axis=1)
-        yield strands(points, (1, 0, 0), (0.150, 0.148, 0.145), 0.08, 0.006, flat=0.2)
+        yield build.strands(points, (1, 0, 0), (0.150, 0.148, 0.145), 0.08, 0.006, flat=0.2)
     for x0, y0, turn, length in layout.cracks:
         steps = int(length / 0.05)
         heading = turn + 0.35 * np.cumsum(rng.normal(0, 0.28, steps))
@@ -277,7 +272,7 @@ def _lines(noise, rng, layout):
         points = np.stack([x, y, bed_height(x, y, noise, layout) + 0.001], axis=1)
         along = np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=1)
         width = rng.uniform(0.008, 0.016, len(x))
-        yield strands(points, along, (0.165, 0.165, 0.168), 0.034, width, flat=0.1)
+        yield build.strands(points, along, (0.165, 0.165, 0.168), 0.034, width, flat=0.1)
 
 
 def _covers(noise, rng, layout):
@@ -287,12 +282,12 @@ def _covers(noise, rng, layout):
             continue
         z = float(bed_height(np.array([x]), np.array([y]), noise, layout)[0])
         half = (*DRAIN_HALF, 0.004)
-        yield box((x, y, z - 0.002), half, 0.35 * IRON, spacing=0.05, stretch=1)
+        yield build.box((x, y, z - 0.002), half, 0.35 * IRON, spacing=0.05, stretch=1)
         for k in np.linspace(-DRAIN_HALF[0] + 0.03, DRAIN_HALF[0] - 0.03, 10):
-            yield box((x + k, y, z + 0.005), (0.010, DRAIN_HALF[1], 0.004), 2.2 * IRON,
+            yield build.box((x + k, y, z + 0.005), (0.010, DRAIN_HALF[1], 0.004), 2.2 * IRON,
                       spacing=0.02, along=1, stretch=4, sheen=0.3)  # fmt: skip
         for side in (-1, 1):
-            yield box((x, y + side * DRAIN_HALF[1], z + 0.005), (DRAIN_HALF[0], 0.014, 0.005),
+            yield build.box((x, y + side * DRAIN_HALF[1], z + 0.005), (DRAIN_HALF[0], 0.014, 0.005),
                       2.0 * IRON, spacing=0.03, stretch=3, sheen=0.3)  # fmt: skip
     for x, y in layout.covers:
         z = float(bed_height(np.array([x]), np.array([y]), noise, layout)[0]) + 0.004
@@ -301,10 +296,10 @@ def _covers(noise, rng, layout):
         points = np.stack([x + r * np.cos(turn), y + r * np.sin(turn), 0 * r + z], axis=1)
         knobs = np.sin(points[:, 0] * 90) * np.sin(points[:, 1] * 90) > 0
         tone = np.where(r > 0.275, 1.25, np.where(knobs, 1.7, 1.05)) * rng.uniform(0.92, 1.08, 900)
-        yield discs(points, (0, 0, 1), IRON * tone[:, None], 0.0075, sheen=0.25)
+        yield build.discs(points, (0, 0, 1), IRON * tone[:, None], 0.0075, sheen=0.25)
         ring = np.linspace(0, 2 * np.pi, 40)
         points = np.stack([x + 0.325 * np.cos(ring), y + 0.325 * np.sin(ring), 0 * ring + z], 1)
-        yield tube(points, 0.006, 1.5 * IRON, piece=0.05, around=5)
+        yield build.tube(points, 0.006, 1.5 * IRON, piece=0.05, around=5)
 
 
 def ground_light(cars, layout=LAYOUT):
@@ -337,10 +332,10 @@ def lit_ground(cloud, light, glows):
     `glows` are rows of x, y, reach [m] and strength: warm light that falls on the ground near them.
     """
     value = light(cloud.position)
-    cloud = lit(cloud, value)
+    cloud = build.lit(cloud, value)
     warm = np.zeros(len(cloud))
     for x, y, reach, strength in glows:
         d2 = ((cloud.position[:, 0] - x) ** 2 + (cloud.position[:, 1] - y) ** 2) / reach**2
         warm += strength * np.exp(-d2)
     tint = 1 + warm[:, None] * np.array([0.42, 0.27, 0.08])
-    return replace_colour(cloud, cloud.colour * tint)
+    return build.replace_colour(cloud, cloud.colour * tint)

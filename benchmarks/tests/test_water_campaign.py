@@ -2,7 +2,7 @@
 
 The default lane takes a few terrains and steps. The campaign takes 50 terrains and 10^5 steps in
 all for each scheme; by hand, with figures by terrain and STEPS on each:
-`PYTHONPATH=.:tests python tests/bench/test_water_campaign.py SCHEME TERRAINS STEPS SEED`.
+`PYTHONPATH=.:tests python benchmarks/tests/test_water_campaign.py SCHEME TERRAINS STEPS SEED`.
 """
 
 import sys
