@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from rainsim.constants import FAR_AWAY, ONE, ZERO
 from rainsim.jit import cpu_kernel, prange
-from rainsim.numerics.interpolation import map_place
-from rainsim.scene.view import View, column_slope, row_slope
+from rainsim.scene.view import View
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
 from rainsim.shading.surface_point import (
     GroundMaps,
     ground_share,
     heights_of,
-    layer_at,
     seen_surface,
 )
 from rainsim.shading.wet_pass import DryPicture
@@ -35,9 +33,7 @@ def find_dampness(
         sky.
     """
     height, width = depth.shape
-    turn, eye, normal, unit = (
-        turn_of(view.ground_from_camera), view.eye, dry.normal, dry.meters_per_unit
-    )  # fmt: skip
+    turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
     for row in prange(height):
         for column in range(width):
             damp_out[row, column] = ZERO
@@ -45,9 +41,10 @@ def find_dampness(
                 continue
             alpha = dry.alpha[row, column]
             _, _, _, _, _, point = seen_surface(
-                turn, eye, column_slope(view, column), row_slope(view, row),
+                turn, view, row, column,
                 (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
-                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
+                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, dry,
+                (height, width), ground,
             )  # fmt: skip
             clearance, above = heights_of(point, True, ground)
             if ground_share(clearance, point.nz, ZERO) < ONE:
@@ -61,7 +58,6 @@ def find_dampness(
                 around = turned(turn, n0, n1, n2)
                 lean = wetted_normal(r, g, b, above, point, around, ground.thickest_layer)
                 point = with_normal(point, lean)
-            u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-            level = ground_share(above, point.nz, layer_at(ground, u, v))
+            level = ground_share(above, point.nz, point.layer)
             wet = wet_state(point, clearance, above, level, ground, rain)
             damp_out[row, column] = wet.dampness

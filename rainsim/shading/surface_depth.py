@@ -26,9 +26,7 @@ def find_surface_depth(dry: DryPicture, view: View, ground: GroundMaps, depth_ou
         for the sky.
     """
     height, width = depth_out.shape
-    turn, eye, normal, unit = (
-        turn_of(view.ground_from_camera), view.eye, dry.normal, dry.meters_per_unit
-    )  # fmt: skip
+    turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
     for row in prange(height):
         for column in range(width):
             lean = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
@@ -38,7 +36,7 @@ def find_surface_depth(dry: DryPicture, view: View, ground: GroundMaps, depth_ou
             if ground.thickest_layer > ZERO:
                 a, b = column_slope(view, column), row_slope(view, row)
                 _, _, _, _, _, point = seen_surface(
-                    turn, eye, a, b, lean, depth, plane, alpha, ground
+                    turn, view, row, column, lean, depth, plane, dry, (height, width), ground
                 )
                 wetted = point.distance / math.sqrt(a * a + b * b + ONE)
             depth_out[row, column] = wetted if alpha >= SURFACE_ALPHA else NO_DEPTH

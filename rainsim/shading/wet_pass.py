@@ -16,7 +16,7 @@ from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.numerics.interpolation import is_on_map, map_place
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
-from rainsim.scene.view import View, column_slope, row_slope
+from rainsim.scene.view import View
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import (
@@ -37,7 +37,6 @@ from rainsim.shading.surface_point import (
     SurfacePoint,
     ground_share,
     heights_over,
-    layer_at,
     seen_surface,
 )
 from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
@@ -65,7 +64,8 @@ from rainsim.shading.wetting import (
 # and places in maps: first the ground's column and row, then the environment's.
 (CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(20, 27))
 LEVEL = 27 * CHUNK  # how surely it is the ground, see `ground_share`
-WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
+LAYER = 28 * CHUNK  # m, of splats about a poorly known bed, see `SurfacePoint`
+WETNESS = 29 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
 NO_DEPTH = np.float32(np.inf)
@@ -139,7 +139,6 @@ def grade_row(
     )  # fmt: skip
     s, corner = np.empty(NUMBERS, np.float32), np.empty(CORNERS, np.float32)
     glossy, open_ = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.uint32)
-    b = row_slope(view, row)
     for left in range(0, width, CHUNK):
         n = min(CHUNK, width - left)
         end = left + n
@@ -148,11 +147,11 @@ def grade_row(
             depth[left:end], plane_depth[left:end],
             normals[row, 3 * left : 3 * end], dry.meters_per_unit, n, s,
         )  # fmt: skip
-        locate(view, b, left, n, ground, s)
+        locate(view, row, left, n, dry, ground, s)
         find_heights(ground, n, s, glossy, corner)
         if dry.around > ZERO:
             take_normals_around(dry, normals, view, row, left, n, ground.thickest_layer, s, glossy)
-        find_levels(ground, n, s)
+        find_levels(n, s)
         find_wetness(ground, rain, n, s)
         color_pixels(look, mirror_apart, n, s)
         add_surroundings(sky, n, s, glossy, open_)
@@ -191,19 +190,19 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 
 
 @inlined_function
-def locate(view, b, left, n, ground, s):
-    """Find where in the ground frame each pixel of a row at slope b is."""
-    turn, eye = turn_of(view.ground_from_camera), (view.eye[0], view.eye[1], view.eye[2])
+def locate(view, row, left, n, dry, ground, s):
+    """Find where in the ground frame each pixel of a row is."""
+    turn = turn_of(view.ground_from_camera)
     for i in range(n):
         x, y, z, depth, cosine, point = seen_surface(
-            turn, eye, column_slope(view, left + i), b,
-            (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]), s[DEPTH + i], s[PLANE + i],
-            s[ALPHA + i], ground,
+            turn, view, row, left + i, (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]),
+            s[DEPTH + i], s[PLANE + i], dry, dry.depth.shape, ground,
         )  # fmt: skip
         s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x, y, z
         s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
         s[COSINE + i], s[DEPTH + i] = cosine, depth
         s[X + i], s[Y + i], s[Z + i], s[AWAY + i] = point.x, point.y, point.z, point.distance
+        s[LAYER + i] = point.layer
 
 
 @inlined_function
@@ -293,16 +292,10 @@ def add_normals(depth, normal, first, n, s):
 
 
 @inlined_function
-def find_levels(ground, n, s):
+def find_levels(n, s):
     """Find how surely each pixel shows the ground."""
     for i in range(n):
-        s[LEVEL + i] = ZERO
-    if ground.layer.shape[0] > 1:
-        for i in range(n):
-            u, v = map_place(s[X + i], s[Y + i], ground.origin, ground.spacing)
-            s[LEVEL + i] = layer_at(ground, u, v)
-    for i in range(n):
-        s[LEVEL + i] = ground_share(s[HEIGHT + i], s[UPNESS + i], s[LEVEL + i])
+        s[LEVEL + i] = ground_share(s[HEIGHT + i], s[UPNESS + i], s[LAYER + i])
 
 
 @inlined_function
@@ -319,8 +312,9 @@ def find_wetness(ground, rain, n, s):
 def surface_point(s, i):
     """Return the `SurfacePoint` of pixel i of a chunk."""
     return SurfacePoint(
-        s[X + i], s[Y + i], s[Z + i], s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i], s[AWAY + i]
-    )
+        s[X + i], s[Y + i], s[Z + i], s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i], s[AWAY + i],
+        s[LAYER + i],
+    )  # fmt: skip
 
 
 @inlined_function

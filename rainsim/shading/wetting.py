@@ -26,7 +26,6 @@ from rainsim.shading.surface_point import (
     SurfacePoint,
     ground_share,
     heights_of,
-    layer_at,
     within,
 )
 from rainsim.shading.walls import damp_off_ground
@@ -208,7 +207,8 @@ def wetted_normal(r, g, b, height, point, around, layer):
 def with_normal(point, normal):
     """Return a `SurfacePoint` with another normal."""
     return SurfacePoint(
-        point.x, point.y, point.z, normal[0], normal[1], normal[2], point.distance
+        point.x, point.y, point.z, normal[0], normal[1], normal[2], point.distance,
+        point.layer,
     )  # fmt: skip
 
 
@@ -353,8 +353,7 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
     r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
     normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
     point = with_normal(point, normal)
-    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-    level = ground_share(height, point.nz, layer_at(ground, u, v))
+    level = ground_share(height, point.nz, point.layer)
     wet = wet_state(point, clearance, height, level, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
