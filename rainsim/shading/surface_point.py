@@ -25,12 +25,13 @@ LEANS = np.float32(0.1)  # the same below which a surface counts as upright
 FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
 LAYER_END = np.float32(2)  # the same over the thickness of a layer of splats about a poor bed
 NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
+HAZE = np.float32(0.3)  # alpha below which splats seen from above are none of the ground
 STEP, STEPS = np.float32(0.15), 40  # m, and how many, in which a ray to the bed looks for walls
 WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
 # Where poor ground's splats and what stands on it mix: times the layer over the bed where pictures
 # tell the two apart, and by how much the depth there is more than the point's if nothing stands.
 OVER = np.float32(2), np.float32(2.5), np.float32(3)
-SAME, OTHER = np.float32(0.15), np.float32(0.4)
+SAME, OTHER = np.float32(0.05), np.float32(0.2)
 STANDING = np.float32(0.85)  # of the layer, that does not count there
 TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
 
@@ -92,7 +93,7 @@ def seen_surface(turn, view, row, column, normal, depth, plane_depth, dry, size,
     lean_x, lean_y, upness = turned(turn, normal[0], normal[1], normal[2])
     cosine = -(normal[0] * a + normal[1] * b + normal[2]) * inv
     d, e = depth_of_surface(depth, plane_depth, upness)
-    e = e if dry.alpha[row, column] >= SURFACE_ALPHA else ZERO
+    e = e if is_surface(dry.alpha[row, column], z) else ZERO
     point = SurfacePoint(
         eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length, ZERO
     )
@@ -135,6 +136,15 @@ def standing_share(turn, view, a, b, depth, height, layer, dry, size):
         there = dry.depth[int(row), int(column)] * dry.meters_per_unit / ahead - ONE
         share = min(share, ONE - smoothstep(SAME, OTHER, there))
     return share
+
+
+@inlined_function
+def is_surface(alpha, sine):
+    """Tell whether splats that cover `alpha` of a pixel are a surface; `sine` is that of the ray.
+
+    Below the horizon nothing is behind them but what was not captured: haze there is no ground.
+    """
+    return alpha >= (SURFACE_ALPHA if sine >= ZERO else HAZE)
 
 
 @inlined_function

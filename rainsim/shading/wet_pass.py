@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
+from rainsim.constants import ONE, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.numerics.interpolation import is_on_map, map_place
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.scene.view import View
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
-from rainsim.shading.grading import Look, surface_color
+from rainsim.shading.grading import Look, covered_share, surface_color
 from rainsim.shading.smooth_normals import (
     AROUND,
     EACH,
@@ -37,6 +37,7 @@ from rainsim.shading.surface_point import (
     SurfacePoint,
     ground_share,
     heights_over,
+    is_surface,
     seen_surface,
 )
 from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
@@ -217,7 +218,7 @@ def find_heights(ground, n, s, cell, corner):
         s[ACROSS + i], s[DOWN + i] = u, v
     interpolate(bed, n, s, ACROSS, DOWN, cell, corner)
     for i in range(n):
-        solid, inside = s[ALPHA + i] >= SURFACE_ALPHA, s[HEIGHT + i] > ZERO
+        solid, inside = is_surface(s[ALPHA + i], s[VIEW_Z + i]), s[HEIGHT + i] > ZERO
         clear, height = heights_over(s[ACROSS + i], s[Z + i], inside, solid)
         s[CLEARANCE + i], s[HEIGHT + i] = clear, height
 
@@ -234,7 +235,7 @@ def take_normals_around(dry, normals, view, row, left, n, layer, s, step):
     for i in range(n):
         level = ground_share(s[CLEARANCE + i], s[UPNESS + i], ZERO)
         here = dry.depth[row, left + i]
-        shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (level < ONE)
+        shown = is_surface(s[ALPHA + i], s[VIEW_Z + i]) & (level < ONE)
         which = step_of(focal, radius, here)
         s[GLOSS + i], s[THROUGH + i] = here, sharpness(focal, which, here)
         step[i] = np.uint32(1 << which) if shown else np.uint32(0)
@@ -386,7 +387,7 @@ def write_pixels(n, s, picture_out, depth_out, clearance_out):
         picture_out[3 * i + 1] = s[GREEN + i]
         picture_out[3 * i + 2] = s[BLUE + i]
     for i in range(n):
-        depth_out[i] = s[DEPTH + i] if s[ALPHA + i] >= SURFACE_ALPHA else NO_DEPTH
+        depth_out[i] = s[DEPTH + i] if is_surface(s[ALPHA + i], s[VIEW_Z + i]) else NO_DEPTH
     for i in range(n):
         clearance_out[i] = s[CLEARANCE + i]
 
@@ -397,7 +398,7 @@ def write_cover(ground, look, n, s, cover_out):
     for i in range(n):
         cover_out[i] = ZERO
         if s[LEVEL + i] > ZERO:
-            cover_out[i] = mirror_cover(
+            cover_out[i] = covered_share(s[ALPHA + i]) * mirror_cover(
                 surface_point(s, i), s[CLEARANCE + i], s[LEVEL + i],
                 stored_wetness(s, WETNESS + i, CHUNK), ground, look,
             )  # fmt: skip

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, SURFACE_ALPHA, TWO, ZERO
+from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, TWO, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import map_place, smoothstep
 from rainsim.shading.bodies import body_share
@@ -26,6 +26,7 @@ from rainsim.shading.surface_point import (
     SurfacePoint,
     ground_share,
     heights_of,
+    is_surface,
     within,
 )
 from rainsim.shading.walls import damp_off_ground
@@ -349,7 +350,7 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
             unless `mirror_apart`.
     """
     x, y, z = ray
-    clearance, height = heights_of(point, alpha >= SURFACE_ALPHA, ground)
+    clearance, height = heights_of(point, is_surface(alpha, z), ground)
     r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
     normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
     point = with_normal(point, normal)
@@ -361,7 +362,7 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
     )
     cover = ZERO
     if mirror_apart and level > ZERO:
-        cover = mirror_cover(point, clearance, level, wet, ground, look)
+        cover = covered_share(alpha) * mirror_cover(point, clearance, level, wet, ground, look)
         gloss *= ONE - level
     if gloss > ZERO:
         u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, smooth)

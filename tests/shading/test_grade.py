@@ -5,7 +5,7 @@ import pytest
 
 import factories
 from benchmarks import traced
-from rainsim.constants import FAR_AWAY, SURFACE_ALPHA
+from rainsim.constants import FAR_AWAY
 from rainsim.numerics import pixel_batches
 from rainsim.numerics.interpolation import bilinear, map_place
 from rainsim.scene.view import View, pixel_ray
@@ -84,13 +84,13 @@ def pixel_by_pixel(dry, ground, rain, skies, look, apart):
                 dry.depth[at] * UNIT, dry.plane_depth[at] * UNIT, normal[2]
             )
             point = SurfacePoint(*(EYE + e * ray), *normal, e * length)
-            if ground.layer.size and alpha >= SURFACE_ALPHA:
+            if ground.layer.size and surface_point.is_surface(alpha, ray[2]):
                 *_, d, _, point = surface_point.seen_surface(
                     turn_of(TURN), VIEW, row, column, tuple(dry.normal[at]), dry.depth[at] * UNIT,
                     dry.plane_depth[at] * UNIT, dry, (HEIGHT, WIDTH), ground,
                 )  # fmt: skip
         around = normal
-        if dry.around > 0 and alpha >= SURFACE_ALPHA:
+        if dry.around > 0 and surface_point.is_surface(alpha, ray[2]):
             around = TURN @ F4(smooth_normal(
                 dry.depth, dry.normal, row, column, HEIGHT, WIDTH, VIEW.fx, dry.around / UNIT
             ))  # fmt: skip
@@ -98,7 +98,7 @@ def pixel_by_pixel(dry, ground, rain, skies, look, apart):
             dry.color[at], alpha, ray / length, point, around, ground, rain, skies,
             look, apart,
         )  # fmt: skip
-        depth[at] = d if alpha >= SURFACE_ALPHA else np.inf
+        depth[at] = d if surface_point.is_surface(alpha, ray[2]) else np.inf
     return picture, depth, clearance, cover
 
 

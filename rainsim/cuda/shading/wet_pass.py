@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.constants import SURFACE_ALPHA, ZERO
+from rainsim.constants import ZERO
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.scene.view import view_from, view_of_arrays
 from rainsim.shading.grading import look_from
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
-from rainsim.shading.surface_point import seen_surface
+from rainsim.shading.surface_point import is_surface, seen_surface
 from rainsim.shading.wet_pass import NO_DEPTH
 from rainsim.shading.wetness import off_ground_from
 from rainsim.shading.wetting import wet_pixel
@@ -79,7 +79,7 @@ def grade_and_wet(
         (np.int64(size[1]), np.int64(size[0])), ground,
     )  # fmt: skip
     around = point.nx, point.ny, point.nz
-    if dry.around > ZERO and alpha >= SURFACE_ALPHA:
+    if dry.around > ZERO and is_surface(alpha, z):
         n0, n1, n2 = smooth_normal(
             dry.depth, normal, row, column, np.int64(size[1]), np.int64(size[0]), view.fx,
             dry.around / unit,
@@ -93,7 +93,7 @@ def grade_and_wet(
     )  # fmt: skip
     picture_out[row, column, 0], picture_out[row, column, 1] = r, g
     picture_out[row, column, 2] = b
-    depth_out[row, column] = d if alpha >= SURFACE_ALPHA else NO_DEPTH
+    depth_out[row, column] = d if is_surface(alpha, z) else NO_DEPTH
     clearance_out[row, column] = clearance
     if mirror_apart:
         cover_out[row, column] = cover
