@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import HALF
+from rainsim.constants import HALF, ZERO
 from rainsim.jit import cpu_kernel, prange
 from rainsim.reflection import water_record
 from rainsim.reflection.facets import LEAST_VARIANCE, SAMPLES, light_weight
@@ -206,7 +206,7 @@ def grade_rays(
         d = plane_distance[n] if normal[n, 2] > FLAT else distance[n]
         point = SurfacePoint(
             eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
-            normal[n, 0], normal[n, 1], normal[n, 2], d,
+            normal[n, 0], normal[n, 1], normal[n, 2], d, ZERO,
         )  # fmt: skip
         r, g, b, _, _ = wet_pixel(
             (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), point,

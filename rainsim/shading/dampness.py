@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from rainsim.constants import FAR_AWAY, ONE, ZERO
 from rainsim.jit import cpu_kernel, prange
-from rainsim.numerics.interpolation import map_place
-from rainsim.scene.view import View, column_slope, row_slope
-from rainsim.shading import surface_point
+from rainsim.scene.view import View
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
+from rainsim.shading.surface_point import (
+    GroundMaps,
+    ground_share,
+    heights_of,
+    seen_surface,
+)
 from rainsim.shading.wet_pass import DryPicture
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import wet_state, wetted_normal, with_normal
@@ -16,8 +20,8 @@ from rainsim.shading.wetting import wet_state, wetted_normal, with_normal
 
 @cpu_kernel
 def find_dampness(
-    depth, dry: DryPicture, look: Look, view: View, ground: surface_point.GroundMaps,
-    rain: OffGroundWetness, damp_out,
+    depth, dry: DryPicture, look: Look, view: View, ground: GroundMaps, rain: OffGroundWetness,
+    damp_out,
 ):  # fmt: skip
     """Write how wet each pixel's surface is by `wet_state`, at the place where it is wetted.
 
@@ -29,22 +33,21 @@ def find_dampness(
         sky.
     """
     height, width = depth.shape
-    turn, eye, normal, unit = (
-        turn_of(view.ground_from_camera), view.eye, dry.normal, dry.meters_per_unit
-    )  # fmt: skip
+    turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
     for row in prange(height):
         for column in range(width):
             damp_out[row, column] = ZERO
             if not depth[row, column] < FAR_AWAY:
                 continue
             alpha = dry.alpha[row, column]
-            _, _, _, _, _, point = surface_point.seen_surface(
-                turn, eye, column_slope(view, column), row_slope(view, row),
+            _, _, _, _, _, point = seen_surface(
+                turn, view, row, column,
                 (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
-                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
+                dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, dry,
+                (height, width), ground,
             )  # fmt: skip
-            clearance, above = surface_point.heights_of(point, True, ground)
-            if surface_point.ground_share(clearance, point.nz, ZERO) < ONE:
+            clearance, above = heights_of(point, True, ground)
+            if ground_share(clearance, point.nz, ZERO) < ONE:
                 n0, n1, n2 = smooth_normal(
                     dry.depth, normal, row, column, height, width, view.fx, dry.around / unit
                 )
@@ -55,9 +58,6 @@ def find_dampness(
                 around = turned(turn, n0, n1, n2)
                 lean = wetted_normal(r, g, b, above, point, around, ground.thickest_layer)
                 point = with_normal(point, lean)
-            u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-            level = surface_point.ground_share(
-                above, point.nz, surface_point.layer_at(ground, u, v)
-            )
+            level = ground_share(above, point.nz, point.layer)
             wet = wet_state(point, clearance, above, level, ground, rain)
             damp_out[row, column] = wet.dampness

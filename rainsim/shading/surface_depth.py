@@ -8,11 +8,16 @@ from __future__ import annotations
 
 import math
 
-from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
+from rainsim.constants import ONE, ZERO
 from rainsim.jit import cpu_kernel, prange
 from rainsim.scene.view import View, column_slope, row_slope
 from rainsim.shading.smooth_normals import turn_of, turned
-from rainsim.shading.surface_point import GroundMaps, depth_of_surface, seen_surface
+from rainsim.shading.surface_point import (
+    GroundMaps,
+    depth_of_surface,
+    is_surface,
+    seen_surface,
+)
 from rainsim.shading.wet_pass import NO_DEPTH, DryPicture
 
 
@@ -26,19 +31,18 @@ def find_surface_depth(dry: DryPicture, view: View, ground: GroundMaps, depth_ou
         for the sky.
     """
     height, width = depth_out.shape
-    turn, eye, normal, unit = (
-        turn_of(view.ground_from_camera), view.eye, dry.normal, dry.meters_per_unit
-    )  # fmt: skip
+    turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
     for row in prange(height):
         for column in range(width):
             lean = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
             depth, plane = dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit
             alpha, (_, _, upness) = dry.alpha[row, column], turned(turn, *lean)
             _, wetted = depth_of_surface(depth, plane, upness)
+            a, b = column_slope(view, column), row_slope(view, row)
+            _, _, sine = turned(turn, a, b, ONE)
             if ground.thickest_layer > ZERO:
-                a, b = column_slope(view, column), row_slope(view, row)
                 _, _, _, _, _, point = seen_surface(
-                    turn, eye, a, b, lean, depth, plane, alpha, ground
+                    turn, view, row, column, lean, depth, plane, dry, (height, width), ground
                 )
                 wetted = point.distance / math.sqrt(a * a + b * b + ONE)
-            depth_out[row, column] = wetted if alpha >= SURFACE_ALPHA else NO_DEPTH
+            depth_out[row, column] = wetted if is_surface(alpha, sine) else NO_DEPTH

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import FAR_AWAY, ONE, SURFACE_ALPHA, ZERO
-from rainsim.jit import inlined_function
+from rainsim.jit import inlined_function, lean_function
 from rainsim.numerics.interpolation import bilinear, is_on_map, map_place, smoothstep
+from rainsim.scene.view import column_slope, row_slope
 from rainsim.shading.bodies import NO_BODIES
 from rainsim.shading.smooth_normals import turned
 
@@ -24,8 +25,14 @@ LEANS = np.float32(0.1)  # the same below which a surface counts as upright
 FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
 LAYER_END = np.float32(2)  # the same over the thickness of a layer of splats about a poor bed
 NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
+HAZE = np.float32(0.3)  # alpha below which splats seen from above are none of the ground
 STEP, STEPS = np.float32(0.15), 40  # m, and how many, in which a ray to the bed looks for walls
 WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
+# Where poor ground's splats and what stands on it mix: times the layer over the bed where pictures
+# tell the two apart, and by how much the depth there is more than the point's if nothing stands.
+OVER = np.float32(2), np.float32(2.5), np.float32(3)
+SAME, OTHER = np.float32(0.05), np.float32(0.2)
+STANDING = np.float32(0.85)  # of the layer, that does not count there
 TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
 
 
@@ -44,7 +51,10 @@ class GroundMaps(NamedTuple):
 
 
 class SurfacePoint(NamedTuple):
-    """A place on a captured surface: position [m], unit normal, distance from the eye [m]."""
+    """A place on a captured surface: position [m], unit normal, distance from the eye [m].
+
+    `layer` [m] is how thick the splats lie about the bed there, see `ground_share`.
+    """
 
     x: np.float32
     y: np.float32
@@ -53,18 +63,20 @@ class SurfacePoint(NamedTuple):
     ny: np.float32
     nz: np.float32
     distance: np.float32
+    layer: np.float32 = ZERO
 
 
 @inlined_function
-def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
+def seen_surface(turn, view, row, column, normal, depth, plane_depth, dry, size, ground):
     """Return what a pixel of the capture shows: view direction, depths, cosine and place.
 
     turn : tuple of 9 float32. Of the camera, see `turn_of`.
-    eye : tuple of 3 float32, or such an array [m]
-    a, b : float32. Slopes of the pixel's ray to the right and down.
+    view : View
+    row, column : int
     normal : tuple of 3 float32. Unit, camera frame.
     depth, plane_depth : float32 [m]. As splatted.
-    alpha : float32
+    dry : wet_pass.DryPicture
+    size : tuple of 2 int. Rows and columns of the part of the picture that was drawn.
     ground : GroundMaps
     Returns x, y, z : float32. Unit direction of view, ground frame.
         drawn : float32 [m]. Depth of what is drawn.
@@ -72,6 +84,7 @@ def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
         point : SurfacePoint. Where it is wetted; at the eye if the pixel shows no
             surface.
     """
+    a, b, eye = column_slope(view, column), row_slope(view, row), view.eye
     x = turn[0] * a + turn[1] * b + turn[2]
     y = turn[3] * a + turn[4] * b + turn[5]
     z = turn[6] * a + turn[7] * b + turn[8]
@@ -80,14 +93,58 @@ def seen_surface(turn, eye, a, b, normal, depth, plane_depth, alpha, ground):
     lean_x, lean_y, upness = turned(turn, normal[0], normal[1], normal[2])
     cosine = -(normal[0] * a + normal[1] * b + normal[2]) * inv
     d, e = depth_of_surface(depth, plane_depth, upness)
-    e = e if alpha >= SURFACE_ALPHA else ZERO
+    e = e if is_surface(dry.alpha[row, column], z) else ZERO
     point = SurfacePoint(
-        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length
+        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length, ZERO
     )
     if ground.layer.shape[0] > 1 and e > ZERO:
-        point, d = on_bed(point, e, d, x, y, z, ground)
+        u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
+        layer = layer_at(ground, u, v)
+        if layer > ZERO:
+            above = point.z - bed_at(ground, u, v)
+            # What seems to lie below the bed lies where the ray meets that.
+            near = e - (above / z if above < ZERO and z < ZERO else ZERO)
+            stands = standing_share(turn, view, a, b, near, max(above, ZERO), layer, dry, size)
+            layer *= ONE - STANDING * stands
+        point, d = on_bed(point, e, d, x, y, z, layer, ground)
         cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
     return x * inv, y * inv, z * inv, d, cosine, point
+
+
+@lean_function
+def standing_share(turn, view, a, b, depth, height, layer, dry, size):
+    """Return how surely what a pixel shows goes on over the layer of poor ground, 0 to 1.
+
+    Splats of the ground are sheets that end with the layer: over them the picture shows what lies
+    behind. Of a wall it shows the same depth there. Neither a splat's height nor its normal tells.
+
+    turn, view, dry, size : see `seen_surface`
+    a, b : float32. Slopes of the pixel's ray.
+    depth, height : float32 [m]. Of the place along the view axis, and over the bed.
+    layer : float32 [m]
+    """
+    share = ONE
+    for k in range(len(OVER)):
+        up = OVER[k] * layer - height
+        ahead = depth + up * turn[8]
+        if not (ahead > ZERO and up > ZERO):
+            return ZERO
+        column = view.cx + view.fx * (a * depth + up * turn[6]) / ahead
+        row = view.cy + view.fy * (b * depth + up * turn[7]) / ahead
+        column = min(max(column, ZERO), np.float32(size[1] - 1))
+        row = min(max(row, ZERO), np.float32(size[0] - 1))
+        there = dry.depth[int(row), int(column)] * dry.meters_per_unit / ahead - ONE
+        share = min(share, ONE - smoothstep(SAME, OTHER, there))
+    return share
+
+
+@inlined_function
+def is_surface(alpha, sine):
+    """Tell whether splats that cover `alpha` of a pixel are a surface; `sine` is that of the ray.
+
+    Below the horizon nothing is behind them but what was not captured: haze there is no ground.
+    """
+    return alpha >= (SURFACE_ALPHA if sine >= ZERO else HAZE)
 
 
 @inlined_function
@@ -163,7 +220,15 @@ def layer_at(ground, u, v):
 
 
 @inlined_function
-def on_bed(point, depth, drawn, x, y, z, ground):
+def with_layer(point, layer):
+    """Return a `SurfacePoint` with another layer."""
+    return SurfacePoint(
+        point.x, point.y, point.z, point.nx, point.ny, point.nz, point.distance, layer
+    )
+
+
+@inlined_function
+def on_bed(point, depth, drawn, x, y, z, layer, ground):
     """Return a surface point, its depth and the drawn depth, moved to the bed if it shows that.
 
     Splats of poor ground lie before or behind it. The ray that shows one shows the ground where it
@@ -174,18 +239,18 @@ def on_bed(point, depth, drawn, x, y, z, ground):
         drawn.
     x, y, z : float32. Way [m] along the ray for a metre of depth; the point is
         `depth` of it from the eye.
+    layer : float32 [m]. How far from the bed splats show it there.
     ground : GroundMaps. Its bed is poorly known.
     """
     eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-    layer = layer_at(ground, u, v)
     bed = bed_at(ground, u, v)
     some = max(layer, np.float32(1e-3))
     share = ONE - smoothstep(some, LAYER_END * some, point.z - bed) if layer > ZERO else ZERO
     if point.z < bed:  # nothing lies below the ground, whatever stands there
         share = ONE
     if not (share > ZERO and z < ZERO and eye_z > bed):
-        return point, drawn
+        return with_layer(point, layer), drawn
     to = (bed - eye_z) / z
     u, v = map_place(eye_x + to * x, eye_y + to * y, ground.origin, ground.spacing)
     to = (bed_at(ground, u, v) - eye_z) / z
@@ -202,6 +267,6 @@ def on_bed(point, depth, drawn, x, y, z, ground):
     inv = ONE / max(math.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-6))
     place = SurfacePoint(
         eye_x + e * x, eye_y + e * y, eye_z + e * z, nx * inv, ny * inv, nz * inv,
-        point.distance * (e / depth),
+        point.distance * (e / depth), layer,
     )  # fmt: skip
     return place, drawn + share * (to - drawn)

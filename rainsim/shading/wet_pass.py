@@ -12,23 +12,44 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import ONE, SURFACE_ALPHA, ZERO
+from rainsim.constants import ONE, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, serial_kernel
 from rainsim.numerics.interpolation import is_on_map, map_place
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
-from rainsim.scene.view import View, column_slope, row_slope
-from rainsim.shading import smooth_normals, wetting
+from rainsim.scene.view import View
 from rainsim.shading.environment import azimuth_in_map, color_in_map, elevation_in_map
-from rainsim.shading.grading import Look, surface_color
+from rainsim.shading.grading import Look, covered_share, surface_color
+from rainsim.shading.smooth_normals import (
+    AROUND,
+    EACH,
+    NO_AROUND,
+    SAMPLES,
+    STEPS,
+    likeness,
+    sample,
+    sharpness,
+    step_of,
+    turn_of,
+    turned,
+)
 from rainsim.shading.surface_point import (
     GroundMaps,
     SurfacePoint,
     ground_share,
     heights_over,
-    layer_at,
+    is_surface,
     seen_surface,
 )
 from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, stored_wetness
+from rainsim.shading.wetting import (
+    LEAST_SKY,
+    SkyMaps,
+    glossed,
+    mirror_cover,
+    rainy_color,
+    wet_state,
+    wetted_normal,
+)
 
 # Rows of a chunk's numbers. The dry pixel: colour, alpha, distances along the view axis [m] to the
 # mean and to the plane of its splats, normal (camera frame).
@@ -44,7 +65,8 @@ from rainsim.shading.wetness import OffGroundWetness, Wetness, store_wetness, st
 # and places in maps: first the ground's column and row, then the environment's.
 (CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(20, 27))
 LEVEL = 27 * CHUNK  # how surely it is the ground, see `ground_share`
-WETNESS = 28 * CHUNK  # as `store_wetness` writes it, a row for each field
+LAYER = 28 * CHUNK  # m, of splats about a poorly known bed, see `SurfacePoint`
+WETNESS = 29 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
 NO_DEPTH = np.float32(np.inf)
@@ -71,14 +93,13 @@ def dry_picture(layers, meters_per_unit, mirrored=False, layer=ZERO):
     """
     return DryPicture(
         layers.color, layers.alpha, layers.depth, layers.plane_depth, layers.normal,
-        np.float32(meters_per_unit),
-        smooth_normals.NO_AROUND if mirrored else max(smooth_normals.AROUND, np.float32(layer)),
+        np.float32(meters_per_unit), NO_AROUND if mirrored else max(AROUND, np.float32(layer)),
     )  # fmt: skip
 
 
 @cpu_kernel
 def grade_and_wet(
-    dry: DryPicture, view: View, ground: GroundMaps, rain: OffGroundWetness, sky: wetting.SkyMaps,
+    dry: DryPicture, view: View, ground: GroundMaps, rain: OffGroundWetness, sky: SkyMaps,
     look: Look, picture_out, depth_out, clearance_out, cover_out,
 ):  # fmt: skip
     """Grade the dry picture, wet it, and measure it against the ground.
@@ -119,7 +140,6 @@ def grade_row(
     )  # fmt: skip
     s, corner = np.empty(NUMBERS, np.float32), np.empty(CORNERS, np.float32)
     glossy, open_ = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.uint32)
-    b = row_slope(view, row)
     for left in range(0, width, CHUNK):
         n = min(CHUNK, width - left)
         end = left + n
@@ -128,11 +148,11 @@ def grade_row(
             depth[left:end], plane_depth[left:end],
             normals[row, 3 * left : 3 * end], dry.meters_per_unit, n, s,
         )  # fmt: skip
-        locate(view, b, left, n, ground, s)
+        locate(view, row, left, n, dry, ground, s)
         find_heights(ground, n, s, glossy, corner)
         if dry.around > ZERO:
             take_normals_around(dry, normals, view, row, left, n, ground.thickest_layer, s, glossy)
-        find_levels(ground, n, s)
+        find_levels(n, s)
         find_wetness(ground, rain, n, s)
         color_pixels(look, mirror_apart, n, s)
         add_surroundings(sky, n, s, glossy, open_)
@@ -171,22 +191,19 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 
 
 @inlined_function
-def locate(view, b, left, n, ground, s):
-    """Find where in the ground frame each pixel of a row at slope b is."""
-    turn, eye = (
-        smooth_normals.turn_of(view.ground_from_camera),
-        (view.eye[0], view.eye[1], view.eye[2]),
-    )
+def locate(view, row, left, n, dry, ground, s):
+    """Find where in the ground frame each pixel of a row is."""
+    turn = turn_of(view.ground_from_camera)
     for i in range(n):
         x, y, z, depth, cosine, point = seen_surface(
-            turn, eye, column_slope(view, left + i), b,
-            (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]), s[DEPTH + i], s[PLANE + i],
-            s[ALPHA + i], ground,
+            turn, view, row, left + i, (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]),
+            s[DEPTH + i], s[PLANE + i], dry, dry.depth.shape, ground,
         )  # fmt: skip
         s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x, y, z
         s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
         s[COSINE + i], s[DEPTH + i] = cosine, depth
         s[X + i], s[Y + i], s[Z + i], s[AWAY + i] = point.x, point.y, point.z, point.distance
+        s[LAYER + i] = point.layer
 
 
 @inlined_function
@@ -201,7 +218,7 @@ def find_heights(ground, n, s, cell, corner):
         s[ACROSS + i], s[DOWN + i] = u, v
     interpolate(bed, n, s, ACROSS, DOWN, cell, corner)
     for i in range(n):
-        solid, inside = s[ALPHA + i] >= SURFACE_ALPHA, s[HEIGHT + i] > ZERO
+        solid, inside = is_surface(s[ALPHA + i], s[VIEW_Z + i]), s[HEIGHT + i] > ZERO
         clear, height = heights_over(s[ACROSS + i], s[Z + i], inside, solid)
         s[CLEARANCE + i], s[HEIGHT + i] = clear, height
 
@@ -212,30 +229,27 @@ def take_normals_around(dry, normals, view, row, left, n, layer, s, step):
 
     In vectors what `smooth_normal` and `wetted_normal` do. `step` has room for a number a pixel.
     """
-    turn, focal = smooth_normals.turn_of(view.ground_from_camera), view.fx
+    turn, focal = turn_of(view.ground_from_camera), view.fx
     radius = dry.around / dry.meters_per_unit
     found = 0
     for i in range(n):
         level = ground_share(s[CLEARANCE + i], s[UPNESS + i], ZERO)
         here = dry.depth[row, left + i]
-        shown = (s[ALPHA + i] >= SURFACE_ALPHA) & (level < ONE)
-        which = smooth_normals.step_of(focal, radius, here)
-        s[GLOSS + i], s[THROUGH + i] = here, smooth_normals.sharpness(focal, which, here)
+        shown = is_surface(s[ALPHA + i], s[VIEW_Z + i]) & (level < ONE)
+        which = step_of(focal, radius, here)
+        s[GLOSS + i], s[THROUGH + i] = here, sharpness(focal, which, here)
         step[i] = np.uint32(1 << which) if shown else np.uint32(0)
     for i in range(n):
         found |= np.int64(step[i])
-    for k in range(smooth_normals.STEPS):
+    for k in range(STEPS):
         if found >> k & 1:
             add_around(dry.depth, normals, row, left, n, k, s)
             for i in range(n):
                 if step[i] == np.uint32(1 << k):
-                    around = smooth_normals.turned(
-                        turn,
-                        smooth_normals.EACH * s[SMOOTH + i],
-                        smooth_normals.EACH * s[ACROSS + i],
-                        smooth_normals.EACH * s[DOWN + i],
+                    around = turned(
+                        turn, EACH * s[SMOOTH + i], EACH * s[ACROSS + i], EACH * s[DOWN + i]
                     )
-                    a, b, c = wetting.wetted_normal(
+                    a, b, c = wetted_normal(
                         s[RED + i], s[GREEN + i], s[BLUE + i], s[HEIGHT + i],
                         surface_point(s, i), around, layer,
                     )  # fmt: skip
@@ -252,8 +266,8 @@ def add_around(depths, normals, row, left, n, step, s):
     rows, columns = depths.shape
     for i in range(n):
         s[SMOOTH + i], s[ACROSS + i], s[DOWN + i] = ZERO, ZERO, ZERO
-    for k in range(smooth_normals.SAMPLES):
-        across, down = smooth_normals.sample(k, step)
+    for k in range(SAMPLES):
+        across, down = sample(k, step)
         v = min(max(row + down, 0), rows - 1)
         # Beyond the picture's sides the pixels at its edge count.
         first = min(max(left + across, 0), columns)
@@ -272,32 +286,24 @@ def add_normals(depth, normal, first, n, s):
     """Add n normals of a row to the sums of the pixels from `first` on, weighted by like depth."""
     for i in range(np.uint64(n)):
         k = np.uint64(first) + i
-        weight = smooth_normals.likeness(
-            depth[i], s[np.uint64(GLOSS) + k], s[np.uint64(THROUGH) + k]
-        )
+        weight = likeness(depth[i], s[np.uint64(GLOSS) + k], s[np.uint64(THROUGH) + k])
         s[np.uint64(SMOOTH) + k] += weight * normal[np.uint64(3) * i]
         s[np.uint64(ACROSS) + k] += weight * normal[np.uint64(3) * i + np.uint64(1)]
         s[np.uint64(DOWN) + k] += weight * normal[np.uint64(3) * i + np.uint64(2)]
 
 
 @inlined_function
-def find_levels(ground, n, s):
+def find_levels(n, s):
     """Find how surely each pixel shows the ground."""
     for i in range(n):
-        s[LEVEL + i] = ZERO
-    if ground.layer.shape[0] > 1:
-        for i in range(n):
-            u, v = map_place(s[X + i], s[Y + i], ground.origin, ground.spacing)
-            s[LEVEL + i] = layer_at(ground, u, v)
-    for i in range(n):
-        s[LEVEL + i] = ground_share(s[HEIGHT + i], s[UPNESS + i], s[LEVEL + i])
+        s[LEVEL + i] = ground_share(s[HEIGHT + i], s[UPNESS + i], s[LAYER + i])
 
 
 @inlined_function
 def find_wetness(ground, rain, n, s):
     """Find how wet each pixel's surface is: `wet_state` in vectors."""
     for i in range(n):
-        wet = wetting.wet_state(
+        wet = wet_state(
             surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], ground, rain
         )
         store_wetness(wet, s, WETNESS + i, CHUNK)
@@ -307,15 +313,16 @@ def find_wetness(ground, rain, n, s):
 def surface_point(s, i):
     """Return the `SurfacePoint` of pixel i of a chunk."""
     return SurfacePoint(
-        s[X + i], s[Y + i], s[Z + i], s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i], s[AWAY + i]
-    )
+        s[X + i], s[Y + i], s[Z + i], s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i], s[AWAY + i],
+        s[LAYER + i],
+    )  # fmt: skip
 
 
 @inlined_function
 def color_pixels(look, mirror_apart, n, s):
     """Grade and wet the colours of n pixels."""
     for i in range(n):
-        r, g, b, gloss, through, smooth = wetting.rainy_color(
+        r, g, b, gloss, through, smooth = rainy_color(
             s[RED + i], s[GREEN + i], s[BLUE + i], s[ALPHA + i], s[VIEW_Z + i], s[COSINE + i],
             s[UPNESS + i], s[HEIGHT + i], s[LEVEL + i], stored_wetness(s, WETNESS + i, CHUNK), look,
         )  # fmt: skip
@@ -328,10 +335,10 @@ def color_pixels(look, mirror_apart, n, s):
 def add_surroundings(sky, n, s, glossy, open_):
     """Add the mirrored surroundings, and the sky that is seen behind the scene."""
     gloss = list_above(s, GLOSS, n, ZERO, glossy)
-    through = list_above(s, THROUGH, n, wetting.LEAST_SKY, open_)
+    through = list_above(s, THROUGH, n, LEAST_SKY, open_)
     if gloss > 0:
         for i in range(n):
-            x, y, z = wetting.glossed(
+            x, y, z = glossed(
                 s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i], s[COSINE + i], s[LEAN_X + i],
                 s[LEAN_Y + i], s[UPNESS + i], s[SMOOTH + i],
             )  # fmt: skip
@@ -380,7 +387,7 @@ def write_pixels(n, s, picture_out, depth_out, clearance_out):
         picture_out[3 * i + 1] = s[GREEN + i]
         picture_out[3 * i + 2] = s[BLUE + i]
     for i in range(n):
-        depth_out[i] = s[DEPTH + i] if s[ALPHA + i] >= SURFACE_ALPHA else NO_DEPTH
+        depth_out[i] = s[DEPTH + i] if is_surface(s[ALPHA + i], s[VIEW_Z + i]) else NO_DEPTH
     for i in range(n):
         clearance_out[i] = s[CLEARANCE + i]
 
@@ -391,7 +398,7 @@ def write_cover(ground, look, n, s, cover_out):
     for i in range(n):
         cover_out[i] = ZERO
         if s[LEVEL + i] > ZERO:
-            cover_out[i] = wetting.mirror_cover(
+            cover_out[i] = covered_share(s[ALPHA + i]) * mirror_cover(
                 surface_point(s, i), s[CLEARANCE + i], s[LEVEL + i],
                 stored_wetness(s, WETNESS + i, CHUNK), ground, look,
             )  # fmt: skip

@@ -14,15 +14,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, SURFACE_ALPHA, TWO, ZERO
+from rainsim.constants import FAR_AWAY, FOUR, HALF, ONE, TWO, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import map_place, smoothstep
-from rainsim.shading import surface_point
 from rainsim.shading.bodies import body_share
 from rainsim.shading.color import luminance
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import reflectance
 from rainsim.shading.grading import covered_share, graded, surface_color
+from rainsim.shading.surface_point import (
+    SurfacePoint,
+    ground_share,
+    heights_of,
+    is_surface,
+    within,
+)
 from rainsim.shading.walls import damp_off_ground
 from rainsim.shading.wetness import Wetness, wetness_in
 
@@ -165,7 +171,7 @@ def body_of(point, clearance, ground):
     if ground.bodies.shape[0] < 2 or not clearance < TALLER:
         return ZERO
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-    u, v = surface_point.within(ground, u, v)
+    u, v = within(ground, u, v)
     return body_share(ground.bodies, u, v, clearance, point.nz)
 
 
@@ -191,7 +197,7 @@ def wetted_normal(r, g, b, height, point, around, layer):
         # Normals are noise there: a wall is upright, leaves face any way.
         sure = smoothstep(UNLIKE, ALIKE, length)
         z, leaf = sure * z + (ONE - sure) * leaf * LEAFY, ZERO
-    leaf = max(leaf, surface_point.ground_share(height, max(point.nz, z), ZERO))
+    leaf = max(leaf, ground_share(height, max(point.nz, z), ZERO))
     leaf = leaf if square > np.float32(1e-6) else ONE
     x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
     inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-6))
@@ -201,8 +207,9 @@ def wetted_normal(r, g, b, height, point, around, layer):
 @inlined_function
 def with_normal(point, normal):
     """Return a `SurfacePoint` with another normal."""
-    return surface_point.SurfacePoint(
-        point.x, point.y, point.z, normal[0], normal[1], normal[2], point.distance
+    return SurfacePoint(
+        point.x, point.y, point.z, normal[0], normal[1], normal[2], point.distance,
+        point.layer,
     )  # fmt: skip
 
 
@@ -223,7 +230,7 @@ def wet_state(point, clearance, height, level, ground, rain):
     if mapped == ZERO:
         return off
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-    u, v = surface_point.within(ground, u, v)
+    u, v = within(ground, u, v)
     on, rest = on_ground(ground, u, v), ONE - mapped
     return Wetness(
         mapped * on.lawn + rest * off.lawn, mapped * on.dampness + rest * off.dampness,
@@ -243,7 +250,7 @@ def mirror_cover(point, clearance, level, wet, ground, look):
     lawn, film = wet.lawn, wet.film
     if not clearance < FAR_AWAY:
         u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-        u, v = surface_point.within(ground, u, v)
+        u, v = within(ground, u, v)
         border = on_ground(ground, u, v)
         lawn, film = border.lawn, border.film
     return level * look.wetness * film * max(TWO * point.nz - ONE, ZERO) * (ONE - lawn)
@@ -343,12 +350,11 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
             unless `mirror_apart`.
     """
     x, y, z = ray
-    clearance, height = surface_point.heights_of(point, alpha >= SURFACE_ALPHA, ground)
+    clearance, height = heights_of(point, is_surface(alpha, z), ground)
     r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
     normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
     point = with_normal(point, normal)
-    u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
-    level = surface_point.ground_share(height, point.nz, surface_point.layer_at(ground, u, v))
+    level = ground_share(height, point.nz, point.layer)
     wet = wet_state(point, clearance, height, level, ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
@@ -356,7 +362,7 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
     )
     cover = ZERO
     if mirror_apart and level > ZERO:
-        cover = mirror_cover(point, clearance, level, wet, ground, look)
+        cover = covered_share(alpha) * mirror_cover(point, clearance, level, wet, ground, look)
         gloss *= ONE - level
     if gloss > ZERO:
         u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, smooth)

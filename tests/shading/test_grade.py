@@ -5,14 +5,14 @@ import pytest
 
 import factories
 from benchmarks import traced
-from rainsim.constants import FAR_AWAY, SURFACE_ALPHA
+from rainsim.constants import FAR_AWAY
 from rainsim.numerics import pixel_batches
 from rainsim.numerics.interpolation import bilinear, map_place
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading import sky, surface_point, wet_pass, wetting
 from rainsim.shading.dampness import find_dampness
 from rainsim.shading.grading import OPAQUE, covered_share, undiluted
-from rainsim.shading.smooth_normals import smooth_normal
+from rainsim.shading.smooth_normals import smooth_normal, turn_of
 from rainsim.shading.surface_point import GroundMaps, SurfacePoint
 from rainsim.shading.wetting import SkyMaps
 
@@ -84,10 +84,13 @@ def pixel_by_pixel(dry, ground, rain, skies, look, apart):
                 dry.depth[at] * UNIT, dry.plane_depth[at] * UNIT, normal[2]
             )
             point = SurfacePoint(*(EYE + e * ray), *normal, e * length)
-            if ground.layer.size and alpha >= SURFACE_ALPHA:
-                point, d = surface_point.on_bed(point, e, d, *ray, ground)
+            if ground.layer.size and surface_point.is_surface(alpha, ray[2]):
+                *_, d, _, point = surface_point.seen_surface(
+                    turn_of(TURN), VIEW, row, column, tuple(dry.normal[at]), dry.depth[at] * UNIT,
+                    dry.plane_depth[at] * UNIT, dry, (HEIGHT, WIDTH), ground,
+                )  # fmt: skip
         around = normal
-        if dry.around > 0 and alpha >= SURFACE_ALPHA:
+        if dry.around > 0 and surface_point.is_surface(alpha, ray[2]):
             around = TURN @ F4(smooth_normal(
                 dry.depth, dry.normal, row, column, HEIGHT, WIDTH, VIEW.fx, dry.around / UNIT
             ))  # fmt: skip
@@ -95,7 +98,7 @@ def pixel_by_pixel(dry, ground, rain, skies, look, apart):
             dry.color[at], alpha, ray / length, point, around, ground, rain, skies,
             look, apart,
         )  # fmt: skip
-        depth[at] = d if alpha >= SURFACE_ALPHA else np.inf
+        depth[at] = d if surface_point.is_surface(alpha, ray[2]) else np.inf
     return picture, depth, clearance, cover
 
 
@@ -242,6 +245,8 @@ def test_what_lies_behind_shows_where_nothing_was_captured_also_below_the_horizo
 
 # --- poorly known ground --------------------------------------------------------------------------
 
+LAYER = F4(0.4)
+
 
 def poor_ground(layer=0.4, bed=0.1):
     """Maps of a level bed whose splats fill a thick layer."""
@@ -255,7 +260,7 @@ def test_a_sheet_before_or_behind_poor_ground_is_seen_on_the_bed(height):
     ground, ray = poor_ground(), F4([0.2, 1.0, -0.4])
     depth = F4((0.1 + height - 1.6) / ray[2])
     point = SurfacePoint(*(F4([0, -1, 1.6]) + depth * ray), *F4([0, -1, 0]), depth)
-    found, drawn = surface_point.on_bed(point, depth, depth, *ray, ground)
+    found, drawn = surface_point.on_bed(point, depth, depth, *ray, LAYER, ground)
     np.testing.assert_allclose(found[:3], F4([0, -1, 1.6]) + 3.75 * ray, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose((found.nx, found.ny, found.nz, drawn), (0, 0, 1, 3.75), atol=1e-5)
 
@@ -269,13 +274,32 @@ def test_a_ray_to_poor_ground_ends_at_a_wall_that_stands_before_it():
         row = int((wall - ORIGIN[1]) / SPACING)
         layer = ground.layer.copy()
         layer[row : row + 4] *= -1
-        return surface_point.on_bed(point, depth, depth, *ray, ground._replace(layer=layer))[0]
+        return surface_point.on_bed(
+            point, depth, depth, *ray, F4(0.6), ground._replace(layer=layer)
+        )[0]
 
     met = seen(point.y + 0.5)
     assert 0.4 < met.y - point.y < 0.8 and met.z > 0.2 and (met.ny, met.nz) == (-1, 0)
-    behind = surface_point.on_bed(point, depth, depth, *ray, ground)[0]
+    behind = surface_point.on_bed(point, depth, depth, *ray, F4(0.6), ground)[0]
     assert behind.z == pytest.approx(0.1, abs=1e-5) and behind.nz == 1
     assert seen(behind.y + 0.3) == behind
+
+
+@pytest.mark.parametrize(("behind", "share"), [(1.0, 1.0), (3.0, 0.0), (np.inf, 0.0)])
+def test_what_goes_on_over_the_layer_stands_and_a_sheet_that_ends_there_does_not(behind, share):
+    """A picture of something 4 m off, of which the upper half shows what lies `behind` times it."""
+    depth = np.full((HEIGHT, WIDTH), 4 / UNIT, F4)
+    depth[: HEIGHT // 2] *= F4(behind)
+    level = F4([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # looks along y
+    blank = np.ones((HEIGHT, WIDTH), F4)
+    dry = wet_pass.DryPicture(blank, blank, depth, depth, blank, UNIT, F4(0))
+    view = VIEW._replace(ground_from_camera=level)
+    size = HEIGHT, WIDTH
+    below = F4(0.1)  # slope of a ray that meets what is 0.4 m below the eye
+    found = surface_point.standing_share(
+        turn_of(level), view, F4(0), below, F4(4), F4(0.2), LAYER, dry, size
+    )
+    assert found == pytest.approx(share)
 
 
 def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
@@ -284,7 +308,7 @@ def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
     def moved(height):
         depth = F4((0.1 + height - 1.6) / ray[2])
         point = SurfacePoint(*(F4([0, -1, 1.6]) + depth * ray), *F4([0, -1, 0]), depth)
-        return surface_point.on_bed(point, depth, depth, *ray, ground)[1] - depth
+        return surface_point.on_bed(point, depth, depth, *ray, LAYER, ground)[1] - depth
 
     heights = np.arange(0.3, 1.0, 0.01)
     ways = np.array([moved(height) for height in heights])
@@ -292,7 +316,8 @@ def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
     assert np.abs(np.diff(ways)).max() < 0.1
     # A camera below the bed, as mirrored ones are, and one that looks up, see no ground.
     point = SurfacePoint(*F4([0, 0, 0.2]), *F4([0, -1, 0]), F4(1))
-    assert surface_point.on_bed(point, F4(1), F4(1), *F4([0, 1, 0.3]), ground)[0] == point
+    seen, _ = surface_point.on_bed(point, F4(1), F4(1), *F4([0, 1, 0.3]), LAYER, ground)
+    assert seen == point._replace(layer=LAYER)
     nowhere = point._replace(x=F4(np.nan), y=F4(np.nan))
     assert np.isfinite(
         surface_point.layer_at(ground, *map_place(nowhere.x, nowhere.y, ORIGIN, SPACING))

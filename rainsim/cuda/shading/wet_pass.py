@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from rainsim.constants import SURFACE_ALPHA, ZERO
+from rainsim.constants import ZERO
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.scene.view import column_slope, row_slope, view_from, view_of_arrays
+from rainsim.scene.view import view_from, view_of_arrays
 from rainsim.shading.grading import look_from
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
-from rainsim.shading.surface_point import seen_surface
+from rainsim.shading.surface_point import is_surface, seen_surface
 from rainsim.shading.wet_pass import NO_DEPTH
 from rainsim.shading.wetness import off_ground_from
 from rainsim.shading.wetting import wet_pixel
@@ -73,12 +73,13 @@ def grade_and_wet(
     turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
     alpha, color = dry.alpha[row, column], dry.color
     x, y, z, d, _, point = seen_surface(
-        turn, view.eye, column_slope(view, column), row_slope(view, row),
+        turn, view, row, column,
         (normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]),
-        dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, alpha, ground,
+        dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit, dry,
+        (np.int64(size[1]), np.int64(size[0])), ground,
     )  # fmt: skip
     around = point.nx, point.ny, point.nz
-    if dry.around > ZERO and alpha >= SURFACE_ALPHA:
+    if dry.around > ZERO and is_surface(alpha, z):
         n0, n1, n2 = smooth_normal(
             dry.depth, normal, row, column, np.int64(size[1]), np.int64(size[0]), view.fx,
             dry.around / unit,
@@ -92,7 +93,7 @@ def grade_and_wet(
     )  # fmt: skip
     picture_out[row, column, 0], picture_out[row, column, 1] = r, g
     picture_out[row, column, 2] = b
-    depth_out[row, column] = d if alpha >= SURFACE_ALPHA else NO_DEPTH
+    depth_out[row, column] = d if is_surface(alpha, z) else NO_DEPTH
     clearance_out[row, column] = clearance
     if mirror_apart:
         cover_out[row, column] = cover
