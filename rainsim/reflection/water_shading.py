@@ -260,18 +260,25 @@ def refracted(vx, vy, vz, ux, uy, uz, cosine):
 def bed_seen_at(depth, view, x, y, z, u0, v0):
     """Return where the bed point at ground-frame offset (x, y, z) from the eye shows.
 
-    The pixel itself, at (u0, v0), if foreground or the picture's edge hides it.
+    The pixel itself, at (u0, v0), if foreground hides it. Towards the picture's edge the ray is
+    bent by at most half of the way there: what lies beyond is not drawn, and the last rows would
+    be shown twice.
     """
     ex, ey, ez = in_camera(view, x, y, z)
     if ez < NEAREST:
         return u0, v0
-    u, v = view.fx * ex / ez + view.cx, view.fy * ey / ez + view.cy
     height, width = depth.shape
-    if not (u >= ZERO and v >= ZERO and u < np.float32(width) and v < np.float32(height)):
-        return u0, v0
+    u = u0 + towards_edge(view.fx * ex / ez + view.cx - u0, u0, np.float32(width))
+    v = v0 + towards_edge(view.fy * ey / ez + view.cy - v0, v0, np.float32(height))
     if ez - depth[int(v), int(u)] > REFRACT_TOLERANCE:
         return u0, v0
     return u, v
+
+
+@inlined_function
+def towards_edge(shift, at, size):
+    """Return a shift [px] from a place in a picture, at most half of the way to its edge."""
+    return min(max(shift, -HALF * at), HALF * (size - at))
 
 
 @device_function
