@@ -34,9 +34,8 @@ def mirror_step(name, rate, surface_film, lens):
     """
     if name != "auto":
         return 2 if name == "half" else 1
-    rings = math.sqrt(rate / MM_PER_HOUR) * (1 - FILM_CALMS * surface_film)
-    blur = RING_BLUR * float(lens[0]) * rings
-    return 2 if blur >= HALF_BLUR else 1
+    blur = RING_BLUR * float(lens[0]) * math.sqrt(rate / MM_PER_HOUR)
+    return 2 if blur * (1 - FILM_CALMS * surface_film) >= HALF_BLUR else 1
 
 
 def merged_cells(merge, step):

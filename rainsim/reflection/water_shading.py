@@ -78,9 +78,7 @@ class Optics(NamedTuple):
 
     law: int  # of reflectance, see shading.fresnel.LAWS
     glint_variance: np.float32  # of slopes finer than a pixel's own, along either axis
-    sun: (
-        np.ndarray
-    )  # (6,) float32: direction to the sun, irradiance of red, green, blue; 0 for none
+    sun: np.ndarray  # (6,) float32: direction to it, irradiance of red, green, blue; 0 for none
     # Factor on what shows through: the wet bed's colour holds what the surface reflects from below
     # on the mean over all directions, and 1 - F takes it away for the direction of view.
     bed_gain: np.float32 = ONE
@@ -260,9 +258,8 @@ def refracted(vx, vy, vz, ux, uy, uz, cosine):
 def bed_seen_at(depth, view, x, y, z, u0, v0):
     """Return where the bed point at ground-frame offset (x, y, z) from the eye shows.
 
-    The pixel itself, at (u0, v0), if foreground hides it. Towards the picture's edge the ray is
-    bent by at most half of the way there: what lies beyond is not drawn, and the last rows would
-    be shown twice.
+    The pixel itself, at (u0, v0), if foreground hides it. Towards the picture's edge, beyond which
+    nothing is drawn, rays bend by half of the way there at most: no row is shown twice.
     """
     ex, ey, ez = in_camera(view, x, y, z)
     if ez < NEAREST:

@@ -189,15 +189,6 @@ class RippleTile:
         out[1] = scipy.fft.irfft2(1j * ky * self._eta, s=shape)
         return out
 
-    def rms_slope(self, shortest_drawn=math.inf):
-        """Return the root mean square slope of the waves shorter than `shortest_drawn` [m].
-
-        What a picture cannot resolve is roughness to its mirror; by default all waves count.
-        """
-        hidden = self._k > 2 * np.pi / shortest_drawn
-        power = self._weight * self._k**2 * np.abs(self._eta) ** 2
-        return math.sqrt(float(power[hidden].sum())) / self.cells**2
-
     @property
     def elevation(self):
         """Surface elevation, ndarray of shape (cells, cells), float64 [m]."""

@@ -153,12 +153,9 @@ def test_slopes_are_the_gradient_of_the_elevation():
     x = np.arange(64) / 64 * 0.1
     np.testing.assert_allclose(slopes[0], np.tile(-1e-4 * k * np.sin(k * x), (64, 1)), atol=1e-8)
     assert abs(slopes[1]).max() < 1e-9 and slopes.dtype == np.float32
-    assert tile.rms_slope() == pytest.approx(1e-4 * k / np.sqrt(2), rel=1e-6)
-    assert tile.rms_slope(0.02) < 1e-12
-    assert tile.rms_slope(0.03) == pytest.approx(tile.rms_slope())
 
 
-def test_random_rain_roughens_the_water_and_the_spectrum_agrees_with_the_slopes():
+def test_random_rain_roughens_the_water():
     field, ground = RainField(RainSpectrum(50), seed=1), flat_surfaces(2, 2, 0.1)
     tile = RippleTile(1.0, 128)
     received = 0
@@ -171,8 +168,7 @@ def test_random_rain_roughens_the_water_and_the_spectrum_agrees_with_the_slopes(
     expected = field.spectrum.density @ field.spectrum.speed * 0.5 / LAYERS
     assert abs(received - expected) < 4 * np.sqrt(expected)
     slopes = tile.slopes().astype(np.float64)
-    assert tile.rms_slope() == pytest.approx(np.sqrt((slopes**2).sum(axis=0).mean()), rel=0.02)
-    assert 0.01 < tile.rms_slope() < 0.3
+    assert 0.01 < np.sqrt((slopes**2).sum(axis=0).mean()) < 0.3
 
 
 def test_falls_are_wrapped_and_born_when_they_fell():
