@@ -134,6 +134,13 @@ class RenderConfig(Group):
         not_negative("1 is as measured, 0 is calm water", high=2.0),
         option=Option("ripples", "0..2"),
         slider=Slider("Rain", "ripples", 0, 2, 0.05, after="wetness"), touches=())
+    streak_strength: float = setting(
+        1.0, "streak_strength", "",
+        "factor on how strongly falling drops and splashes show, 0 to 5: a look; 1 is what drops "
+        "cover in a lens",
+        not_negative("1 is true, 3 shows moderate rain in films", high=5.0, most="5"),
+        option=Option("streaks", "0..5"),
+        slider=Slider("Rain", "streaks", 0, 5, 0.1, after="ripples"), touches=())
     ground_albedo: float | None = setting(
         None, "ground_albedo", "",
         "share of the light that the open dry ground reflects, such as 0.3 for clean concrete: it "

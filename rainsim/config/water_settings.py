@@ -64,9 +64,9 @@ class WaterConfig(Group):
         option=Option("water_level", "M"), slider=Slider("Flood", "water level", -0.2, 1, 0.01),
         changing=True, touches=(WATER, LIGHT))
     surface_film: float = setting(
-        0.0, "surface_film", "", "dirt on the water that damps ripples, 0 clean to 1 full",
+        1.0, "surface_film", "", "dirt on the water that damps ripples, 0 clean to 1 full",
         not_negative("0 is clean, 1 street dirt", label="surface film", high=1.0, most="1"),
-        touches=(WATER,), kept_for="dirt on the water of a street (docs/rain.md)")
+        touches=(WATER,), kept_for="clean water, on which rings were measured (docs/rain.md)")
     courant: float | None = setting(
         None, "courant", "", "Courant number of the flow, the share of the largest stable time "
         "step; without it the scheme chooses",

@@ -17,8 +17,9 @@ from rainsim.jit import device_function, inlined_function, lean_function
 DEPTH_TILE = 16  # px; side of the tiles whose least and greatest depths are known
 NEAR = 0.5  # m; drops nearer to the camera are out of any focus and are not drawn
 # Places in a lens: focal lengths and principal point [px], half of the largest drop times the focal
-# length [px m], the aperture times the focal length [px m], one over the depth in focus [1/m].
-FX, FY, CX, CY, LARGEST_RADIUS, APERTURE, PER_FOCUS = range(7)
+# length [px m], the aperture times the focal length [px m], one over the depth in focus [1/m], the
+# factor on what each drop covers.
+FX, FY, CX, CY, LARGEST_RADIUS, APERTURE, PER_FOCUS, STRENGTH = range(8)
 FAINTEST = 3e-3  # share of light: half of it falls to each of two pixels, and at a contrast of 0.4
 # on a linear mid-grey of 0.2 that is a fifth of a level of an 8-bit picture, on near black more
 _WIDE = np.float32(1.5)  # px; wider drops are drawn as discs
@@ -97,7 +98,7 @@ def draw_path(path, share, diameter, lens, scene, clear, picture):
     share : float32. Of the path, and of the time: a drop that ends on its way
         covers the picture for less.
     diameter : float32 [m]
-    lens : float32 array (7,). See `FX`.
+    lens : float32 array (8,). See `FX`.
     scene : SceneDepth
     clear : bool. Nothing stands before the path: no depth is read then.
     picture : int32 array (width * height,) or int64. Optical depths, column by
@@ -129,6 +130,7 @@ def draw_path(path, share, diameter, lens, scene, clear, picture):
     x_middle, y_middle = (x + HALF * dx) * per_middle, (y + HALF * dy) * per_middle
     oblique = np.sqrt(ONE + x_middle * x_middle + y_middle * y_middle)
     area = _QUARTER_PI * fx * fy * diameter * diameter * oblique * share * step
+    area *= lens[STRENGTH]
     for piece in range(1, pieces + 1):
         passed = np.float32(piece) * step
         z1 = z + dz * passed

@@ -31,7 +31,7 @@ class ShutterView(NamedTuple):
         closes.
     axes, axes_end : float32 array (3, 3). `rotation` and `rotation_end`, for
         steps from a place near the camera.
-    lens : float32 array (7,). See `line_raster.FX` and its neighbours.
+    lens : float32 array (8,). See `line_raster.FX` and its neighbours.
     planes : float32 array (4, 3). Inward normals of the picture's left, right,
         top and bottom, in the camera frame.
     """
@@ -48,7 +48,9 @@ class ShutterView(NamedTuple):
     planes: np.ndarray
 
 
-def shutter_view(camera, time, exposure, camera_end=None, aperture=0.0, focus=np.inf):
+def shutter_view(
+    camera, time, exposure, camera_end=None, aperture=0.0, focus=np.inf, strength=1.0
+):  # fmt: skip
     """Return the `ShutterView` of a camera; arguments as `streaks.draw_streaks` has them."""
     require_positive("exposure", exposure, "s")
     if camera.orthographic:
@@ -58,7 +60,7 @@ def shutter_view(camera, time, exposure, camera_end=None, aperture=0.0, focus=np
         raise ParameterError(f"focus is {focus!r} m; it must be more than 0; inf is far away")
     camera_end = camera if camera_end is None else camera_end
     focal = finest(camera)
-    blur = np.array([0.5 * LARGEST * focal, aperture * focal, 1 / focus], np.float32)
+    blur = np.array([0.5 * LARGEST * focal, aperture * focal, 1 / focus, strength], np.float32)
     lens = np.concatenate([lens_array(camera), blur])
     rotation, rotation_end = (
         np.ascontiguousarray(c.camera_from_world[:3, :3], np.float64) for c in (camera, camera_end)

@@ -74,7 +74,7 @@ class _Windows(NamedTuple):
 
 def draw_splashes(
     field, surfaces, camera, time, exposure, water_depth, film, depth, alpha_out, camera_end=None,
-    aperture=0.0, focus=math.inf, more=None,
+    aperture=0.0, focus=math.inf, strength=1.0, more=None,
 ):  # fmt: skip
     """Draw all that an exposure sees of splashes: crowns, jets and droplets.
 
@@ -92,10 +92,10 @@ def draw_splashes(
     alpha_out : float32 array (height, width). Overwritten with the share of light
         that splashes replace.
     camera_end : Camera or None. The camera when the shutter closes, if it moves.
-    aperture, focus : float [m]. As in `draw_streaks`.
+    aperture, focus : float [m]. As in `draw_streaks`, and strength : float.
     more : Impacts or None. Of drops that are not the field's: drips.
     """
-    view = shutter_view(camera, time, exposure, camera_end, aperture, focus)
+    view = shutter_view(camera, time, exposure, camera_end, aperture, focus, strength)
     water = WaterDepth(np.asarray(water_depth, np.float32), float(film))
     _run_pass(field, surfaces, camera, view, water, depth, alpha_out, more, 0)
 

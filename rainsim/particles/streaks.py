@@ -71,7 +71,7 @@ class Line(NamedTuple):
 
 def draw_streaks(
     field, surfaces, camera, time, exposure, depth, far, alpha_out, camera_end=None,
-    aperture=0.0, focus=math.inf, more=NO_LINES,
+    aperture=0.0, focus=math.inf, strength=1.0, more=NO_LINES,
 ):  # fmt: skip
     """Draw the drops between NEAR and `far` as they move during the exposure.
 
@@ -92,6 +92,7 @@ def draw_streaks(
     aperture, focus : float [m]. Diameter of the lens's opening, 0 for a pinhole,
         and the depth that is in focus. A drop at depth z is spread over aperture
         f |1/z - 1/focus| pixels, its summed alpha unchanged.
+    strength : float. Factor on what each drop covers; 1 is true.
     more : float64 array (n, 7). Drops that are not the field's, such as drips:
         the columns of `Line`.
     Raises ParameterError if the camera is orthographic, or the exposure or `far`
@@ -101,7 +102,7 @@ def draw_streaks(
     the longer way through the air.
     """
     require_pictures(camera, depth, alpha_out)
-    view = shutter_view(camera, time, exposure, camera_end, aperture, focus)
+    view = shutter_view(camera, time, exposure, camera_end, aperture, focus, strength)
     air = seen_air(field, camera, view, far, aperture, focus)
     surfaces = _OPEN if surfaces is None else surfaces
     _draw_field(

@@ -59,9 +59,7 @@ class Optics(NamedTuple):
 
     law: int  # of reflectance, see shading.fresnel.LAWS
     glint_variance: np.float32  # of slopes finer than a pixel's own, along either axis
-    sun: (
-        np.ndarray
-    )  # (6,) float32: direction to the sun, irradiance of red, green, blue; 0 for none
+    sun: np.ndarray  # (6,) float32: direction to it, irradiance of red, green, blue; 0 for none
     # Factor on what shows through: the wet bed's colour holds what the surface reflects from below
     # on the mean over all directions, and 1 - F takes it away for the direction of view.
     bed_gain: np.float32 = ONE
@@ -244,18 +242,24 @@ def refracted(vx, vy, vz, ux, uy, uz, cosine):
 def bed_seen_at(depth, view, x, y, z, u0, v0):
     """Return where the bed point at ground-frame offset (x, y, z) from the eye shows.
 
-    The pixel itself, at (u0, v0), if foreground or the picture's edge hides it.
+    The pixel itself, at (u0, v0), if foreground hides it. Towards the picture's edge, beyond which
+    nothing is drawn, rays bend by half of the way there at most: no row is shown twice.
     """
     ex, ey, ez = in_camera(view, x, y, z)
     if ez < NEAREST:
         return u0, v0
-    u, v = view.fx * ex / ez + view.cx, view.fy * ey / ez + view.cy
     height, width = depth.shape
-    if not (u >= ZERO and v >= ZERO and u < np.float32(width) and v < np.float32(height)):
-        return u0, v0
+    u = u0 + towards_edge(view.fx * ex / ez + view.cx - u0, u0, np.float32(width))
+    v = v0 + towards_edge(view.fy * ey / ez + view.cy - v0, v0, np.float32(height))
     if ez - depth[int(v), int(u)] > REFRACT_TOLERANCE:
         return u0, v0
     return u, v
+
+
+@jit.inlined_function
+def towards_edge(shift, at, size):
+    """Return a shift [px] from a place in a picture, at most half of the way to its edge."""
+    return min(max(shift, -HALF * at), HALF * (size - at))
 
 
 @jit.device_function

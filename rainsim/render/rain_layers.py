@@ -17,7 +17,7 @@ from rainsim.particles.drop_paths import SAMPLES, path_sums
 from rainsim.particles.spray import CUT, lay_clouds, spray_seen
 from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.dripping import drips_seen
-from rainsim.render.rain_pass import draw_spray, drawn_reach
+from rainsim.render.rain_pass import draw_spray, drawn_reach, lens_of
 from rainsim.scene.view import camera_points, corner_rays, image_point
 
 NEAR_DROPS = 2.0  # m: drops nearer than this are an element of their own
@@ -47,7 +47,7 @@ def near_alpha(depth, ground_camera, ground_camera_end, time, render, field, sur
         reach = drawn_reach(field, ground_camera, render)
         draw_streaks(
             field, surfaces, ground_camera, time, render.exposure, depth,
-            np.minimum(reach, NEAR_DROPS), alpha, ground_camera_end, render.aperture, render.focus,
+            np.minimum(reach, NEAR_DROPS), alpha, *lens_of(ground_camera_end, render),
         )  # fmt: skip
     return alpha
 
@@ -161,8 +161,8 @@ def _gathered(
     weight, total = path_sums(
         lines, render.exposure, cameras, 1.0, depth, render.streak_far, between
     )[:2]
-    # A drop's alphas sum to its area in pixels.
-    area = math.pi / 4 * ground_camera.fx * ground_camera.fy / SAMPLES
+    # A drop's alphas sum to its area in pixels, but for a look.
+    area = math.pi / 4 * ground_camera.fx * ground_camera.fy / SAMPLES * render.streak_strength
     # A drop is drawn in the two pixels beside its path, the samples are in one of them.
     weight, total = (_spread(area * a.reshape(depth.shape)).ravel() for a in (weight, total))
     if clouds is not None:

@@ -32,7 +32,7 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
     """
     alpha = np.zeros(depth.shape, np.float32)
     drops, clouds = spray_seen(rolls, camera, time, render.exposure)
-    lens = camera_end, render.aperture, render.focus
+    lens = lens_of(camera_end, render)
     if field is None:  # tyres on a wet road throw water while no rain falls
         draw_spray(drops, depth, camera, camera_end, time, render, alpha)
         fog = NO_FOG
@@ -51,6 +51,11 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
     return alpha, fog
 
 
+def lens_of(camera_end, render):
+    """Return the parameters of `draw_streaks` from `camera_end` to `strength`."""
+    return camera_end, render.aperture, render.focus, render.streak_strength
+
+
 def drawn_reach(field, camera, render):
     """Return the depth of each class up to which its drops are drawn, see `streak_reach`."""
     return streak_reach(field, camera, render.reach_exposure or render.exposure, render.streak_far)
@@ -61,7 +66,7 @@ def draw_spray(drops, depth, camera, camera_end, time, render, alpha_out):
     if len(drops):
         draw_streaks(
             RainField(RainSpectrum(0.0)), None, camera, time, render.exposure, depth, NEAR,
-            alpha_out, camera_end, render.aperture, render.focus, more=drops,
+            alpha_out, *lens_of(camera_end, render), more=drops,
         )  # fmt: skip
 
 
@@ -84,7 +89,7 @@ def draw_landing(
         return alpha
     impacts = drip_impacts(*drips, surfaces, time - LONGEST_LIFE, time + render.exposure)
     draw_splashes(
-        *shutter, time, render.exposure, water, WET_FILM * paving, depth, alpha, camera_end,
-        render.aperture, render.focus, more=impacts,
+        *shutter, time, render.exposure, water, WET_FILM * paving, depth, alpha,
+        *lens_of(camera_end, render), more=impacts,
     )  # fmt: skip
     return alpha

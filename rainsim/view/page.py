@@ -160,9 +160,8 @@ class Page:
                 f"{word}: {job.width} x {job.height} px in {shown.seconds * 1e3:.0f} ms, "
                 f"t = {self.painter.clock.time:.2f} s"
             )
-            sunk = self.painter.session.below_ground(job.view)
-            if sunk > 0:
-                client.state.content += f"  \n**the camera is {sunk:.2f} m below the ground**"
+            place = self.painter.session.out_of_place(job.view)
+            client.state.content += f"  \n**the camera is {place}**" if place else ""
 
     def show_badly_seen(self, key, share):
         """Tell a page how much of its finished picture is badly seen; of the drawing thread."""

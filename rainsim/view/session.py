@@ -306,13 +306,19 @@ class Session:
         picture = np.rint(np.clip(layers.color, 0, 1) * 255).astype(np.uint8)
         return picture, layers.depth * np.float32(self.scene.ground_frame.meters_per_unit)
 
-    def below_ground(self, view):
-        """Return how far a view's eye lies below the ground [m], 0 above it and where none is."""
+    def out_of_place(self, view):
+        """Return where a view's eye should not be, below the ground or far off its map, or ""."""
         if self.terrain is None:
-            return 0.0
+            return ""
         x, y, z = view.position
-        row, column, inside = self.terrain.grid.cells(np.array([x]), np.array([y]))
-        return max(float(self.terrain.bed[row[0], column[0]] - z), 0.0) if inside[0] else 0.0
+        grid = self.terrain.grid
+        row, column, inside = grid.cells(np.array([x]), np.array([y]))
+        if not inside[0]:  # the capture's own cameras may stand beside a small map
+            size = grid.spacing * np.array(grid.shape[::-1])
+            off = np.abs(np.array([x, y]) - grid.origin - size / 2) / size
+            return "far from the ground that was captured" if off.max() > 2 else ""
+        sunk = float(self.terrain.bed[row[0], column[0]] - z)
+        return f"{sunk:.2f} m below the ground" if sunk > 0 else ""
 
     def badly_seen(self, view, width, height):
         """Return the share of a view that the capture's cameras hardly saw; None if unknown.

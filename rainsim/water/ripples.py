@@ -20,7 +20,7 @@ from rainsim.numerics.windows import widened
 from rainsim.rain.size_distribution import drop_volume, terminal_speed
 
 FOOTPRINT = 5e-3  # m; a Gaussian push of this width has its energy peak at 200 rad/m
-RING_SHARE = 0.01  # of the reference drop's kinetic energy
+RING_SHARE = 0.01  # of the reference drop's kinetic energy, on deep water
 REFERENCE_DROP = 2.5e-3  # m; between the measured 2.2 and 2.8 mm
 # Drops up to and from these diameters [m] push alike: as drops of `_TYPICAL` do, see `footprint`.
 _BOUNDS = (1.8e-3, 3.3e-3)
@@ -112,7 +112,8 @@ class RippleTile:
     a factor chosen such that a ring's energy goes with the momentum squared whatever its width, and
     a drop of REFERENCE_DROP at terminal speed puts RING_SHARE of its kinetic energy into waves
     (IEEE J. Oceanic Eng. 24, 323, 1999: about 1 %, near 0.2 rad/mm, for 2.2 and 2.8 mm). By that
-    law a smaller drop puts a smaller share into waves, in proportion to its mass.
+    law a smaller drop puts a smaller share into waves, in proportion to its mass. That was measured
+    on deep water: on shallow water the bed takes a part of the push, all but tanh(k depth).
     """
 
     def __init__(
@@ -188,15 +189,6 @@ class RippleTile:
         out[1] = scipy.fft.irfft2(1j * ky * self._eta, s=shape)
         return out
 
-    def rms_slope(self, shortest_drawn=math.inf):
-        """Return the root mean square slope of the waves shorter than `shortest_drawn` [m].
-
-        What a picture cannot resolve is roughness to its mirror; by default all waves count.
-        """
-        hidden = self._k > 2 * np.pi / shortest_drawn
-        power = self._weight * self._k**2 * np.abs(self._eta) ** 2
-        return math.sqrt(float(power[hidden].sum())) / self.cells**2
-
     @property
     def elevation(self):
         """Surface elevation, ndarray of shape (cells, cells), float64 [m]."""
@@ -253,10 +245,8 @@ class RippleTile:
                   where=k > 0)  # fmt: skip
         speed = float(terminal_speed(REFERENCE_DROP))
         mass = WATER_DENSITY * drop_volume(REFERENCE_DROP)
-        # energy of a unit push in open water, by the integral over wavenumbers
-        waves = np.linspace(0, 12 / width, 4001)[1:]
-        spectrum = waves**2 * np.tanh(waves * self.depth) * np.exp(-((waves * width) ** 2))
-        unit = float(spectrum.sum() * (waves[1] - waves[0])) / (4 * np.pi * WATER_DENSITY)
+        # energy of a unit push in open, deep water: the integral of k^2 exp(-k^2 width^2)
+        unit = math.sqrt(math.pi) / (4 * width**3) / (4 * math.pi * WATER_DENSITY)
         wanted = RING_SHARE * 0.5 * mass * speed**2
         return push * math.sqrt(wanted / (unit * (mass * speed) ** 2))
 

@@ -25,6 +25,7 @@ VALUES = {
     "wind_direction_degrees": 120, "gusts": 0.5, "water_level_m": 0.05, "cloudiness": 0.1,
     "sun_azimuth_degrees": 20, "sun_elevation_degrees": 28, "brightness": 2, "exposure_ms": 30,
     "aperture_mm": 30, "focus_m": 0.5, "puddles": 0, "wetness": 1.5, "ripples": 0.2,
+    "streak_strength": 4,
     "exposure_bias_ev": 0.6,
 }  # fmt: skip
 

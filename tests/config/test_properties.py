@@ -40,7 +40,8 @@ NUMBERS = {
     "rain_mm_per_hour": (0, 1000), "past_rain_mm": (0, 100), "drying_hours": (0, 24),
     "wind_speed_m_per_s": (0, 30), "wind_direction_degrees": (-720, 720), "gusts": (0, 0.5),
     "water_level_m": (-1, 1), "surface_film": (0, 1), "exposure_ms": (0.5, 40),
-    "cloudiness": (0, 1), "brightness": (0.1, 4), "terrain_spacing_m": (0.005, 0.5),
+    "cloudiness": (0, 1), "streak_strength": (0, 5), "brightness": (0.1, 4),
+    "terrain_spacing_m": (0.005, 0.5),
 }  # fmt: skip
 CHANGING = ["rain_mm_per_hour", "past_rain_mm", "exposure_ms", "cloudiness", "brightness"]
 GOOD = st.fixed_dictionaries({}, optional={

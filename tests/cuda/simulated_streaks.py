@@ -45,7 +45,7 @@ def test_a_picture_is_that_of_the_cpu(poisoned, monkeypatch, room):
     depth = np.full((HEIGHT, WIDTH), np.inf, np.float32)
     depth[12:, :9] = 0.9
     wanted = poisoned((HEIGHT, WIDTH))
-    options = {"camera_end": later, "aperture": 0.002, "focus": 2.0}
+    options = {"camera_end": later, "aperture": 0.002, "focus": 2.0, "strength": 1.5}
     draw_streaks(field, surfaces, camera, 3.0, 1 / 1000, depth, 1.3, wanted, **options)
     twin = Streaks(field, surfaces, WIDTH, HEIGHT)
     twin.update(field, camera, 3.0, 1 / 1000, 1.3, **options)

@@ -65,6 +65,18 @@ def test_summed_alpha_does_not_depend_on_the_exposure(exposure, diameter, depth,
     assert alpha.min() >= 0 and alpha.max() < 1
 
 
+def test_strength_is_a_factor_on_what_a_drop_covers():
+    camera = looking("ahead", width=100, height=100)
+    alpha = np.empty((2, 100, 100), np.float32)
+    drop = np.array([[5.0, 0.0131, 0.05, 0, 0, -6.0, 0.6e-3]])
+    for strength, out in zip((1, 3), alpha, strict=True):
+        draw_streaks(
+            DRY, None, camera, 0.0, 1 / 60, sky(camera), NEAR, out, strength=strength, more=drop
+        )
+    assert alpha[0].sum() > 0
+    assert alpha[1].sum() == pytest.approx(3 * alpha[0].sum(), rel=1e-3)
+
+
 @pytest.mark.parametrize("direction", ["up", "down"])
 def test_summed_alpha_is_the_mean_over_the_path_when_the_depth_changes(direction):
     camera = looking(direction)

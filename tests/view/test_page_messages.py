@@ -96,8 +96,8 @@ class Bare:
     def set_config(self, config):
         self.config = config
 
-    def below_ground(self, view):
-        return 0.0
+    def out_of_place(self, view):
+        return ""
 
     def draw_bare(self, view, width, height):
         assert np.isfinite(view.rotation).all() and 0 < width * height < 1e9

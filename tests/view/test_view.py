@@ -558,11 +558,11 @@ def test_the_thread_answers_draws_and_ends(session, view):
     assert not thread.is_alive()
 
 
-def test_an_eye_below_the_ground_is_told(session, view):
+def test_an_eye_below_the_ground_or_far_from_it_is_told(session, view):
     session.make()
-    assert session.below_ground(view) == 0
-    assert 0.4 < session.below_ground(replace(view, position=(0.0, 0.0, -0.5))) < 0.6
-    assert session.below_ground(replace(view, position=(1e4, 0.0, -0.5))) == 0
+    assert session.out_of_place(view) == ""
+    assert "m below the ground" in session.out_of_place(replace(view, position=(0.0, 0.0, -0.5)))
+    assert "far from the ground" in session.out_of_place(replace(view, position=(1e4, 0.0, 1.5)))
 
 
 def test_a_finished_picture_tells_how_much_of_it_is_badly_seen(session, view):

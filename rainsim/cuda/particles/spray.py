@@ -28,7 +28,7 @@ def lay_clouds(many, clouds, boxes, lens, depth, alpha_out):
     many : int32 device array (1,)
     clouds, boxes : float32 device array (room, 5), and (room, 4), int32. See
         `cloud_table`.
-    lens : float32 device array (7,). Whose first four are fx, fy, cx, cy [px].
+    lens : float32 device array (8,). Whose first four are fx, fy, cx, cy [px].
     depth, alpha_out : float32 device array (height, width)
     """
     column, row = cuda.grid(2)

@@ -212,7 +212,7 @@ def draw_field(sought, paths, lens, scene, picture):
     sought : int32 device array (1,). Drops in view.
     paths : float32 device array (room, PATH). As `list_drops` and `follow` left
         them.
-    lens : float32 device array (7,)
+    lens : float32 device array (8,)
     scene : SceneDepth. Of device arrays.
     picture : int64 device array (width * height,). Added to.
     """
@@ -269,7 +269,7 @@ class Streaks:
             "counts": ((CLASSES + 1,), i8), "first": ((CLASSES, 3), i8), "last": ((CLASSES, 3), i8),
             "time": ((1,), f8), "exposure": ((1,), f8), "rotation": ((3, 3), f8), "eye": ((3,), f8),
             "rotation_end": ((3, 3), f8), "eye_end": ((3,), f8), "axes": ((3, 3), f4),
-            "axes_end": ((3, 3), f4), "lens": ((7,), f4),
+            "axes_end": ((3, 3), f4), "lens": ((8,), f4),
             "planes": ((4, 3), f4), "far": ((CLASSES,), f4), "slack": ((CLASSES,), f8),
             "sought": ((1,), np.int32), "many": ((1,), np.int32),
         }  # fmt: skip
@@ -290,11 +290,12 @@ class Streaks:
         self.drips = self.spray = None
 
     def update(
-        self, field, camera, time, exposure, far, camera_end=None, aperture=0.0, focus=np.inf
-    ):
+        self, field, camera, time, exposure, far, camera_end=None, aperture=0.0, focus=np.inf,
+        strength=1.0,
+    ):  # fmt: skip
         """Set rain, camera and shutter of the next picture; arguments as in `draw_streaks`."""
         require_pictures(camera, self.alpha, self.alpha)
-        view = shutter_view(camera, time, exposure, camera_end, aperture, focus)
+        view = shutter_view(camera, time, exposure, camera_end, aperture, focus, strength)
         air = seen_air(field, camera, view, far, aperture, focus)
         sides = np.maximum(air.last - air.first + 1, 0)
         cubes = sides[:, 0] * sides[:, 1] * sides[:, 2] * (air.far > line_raster.NEAR)

@@ -19,7 +19,7 @@ from rainsim.particles.fog import FOG_STEPS, NO_FOG, fog_table
 from rainsim.particles.line_raster import NEAR
 from rainsim.particles.splash import WET_FILM
 from rainsim.particles.spray import spray_seen
-from rainsim.render.rain_pass import drawn_reach
+from rainsim.render.rain_pass import drawn_reach, lens_of
 
 AHEAD = 2  # intervals after a frame's time that its exposure sees
 NO_RAIN = RainField(RainSpectrum(0.0))
@@ -58,7 +58,7 @@ class RainPass:
             self._streaks = Streaks(rain, surfaces, camera.width, camera.height)
             self._streaks.spray = self._spray
         shutter = camera, time, render.exposure
-        lens = camera_end, render.aperture, render.focus
+        lens = lens_of(camera_end, render)
         if field is None:
             self._streaks.update(NO_RAIN, *shutter, NEAR, *lens)
             return self._streaks
