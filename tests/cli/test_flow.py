@@ -1,7 +1,9 @@
 """`rainsim flow`: the water solver alone, from maps and tables to maps, gauges and a state."""
 
 import csv
+import itertools
 import json
+import math
 import os
 import signal
 
@@ -9,7 +11,9 @@ import numpy as np
 import pytest
 
 from rainsim.commands import flow
+from rainsim.io import files
 from rainsim.io.rasters import Raster, read_raster, write_raster
+from run_folders import written
 
 N = 12
 
@@ -189,3 +193,46 @@ def test_a_run_that_is_over_gains_no_reading_and_keeps_its_period(rainsim, tmp_p
         assert (tmp_path / "out/gauges.csv").read_bytes() == kept
     other = rainsim("flow", *words, "--period", "4", "--resume")
     assert other.code == 2 and "has readings every 3 s" in other.error
+
+
+class KilledError(BaseException):
+    """Ends a run as a signal that cannot be caught does: nothing else is written."""
+
+
+@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow), 5])
+def test_a_run_that_is_killed_around_any_file_goes_on_to_the_same_bytes(
+    rainsim, tmp_path, valley, monkeypatch, every, after
+):
+    words = ("flow", *WORDS, "--duration", "25", "--out")
+    left = [math.inf]
+    monkeypatch.setattr(flow, "SAVE_EVERY", -1.0)  # after each step
+    put = files.put_in_place
+
+    def counted(*paths):
+        left[0] -= 1
+        if left[0] < 0 and not after:
+            raise KilledError
+        put(*paths)
+        if left[0] < 0:
+            raise KilledError
+
+    monkeypatch.setattr(files, "put_in_place", counted)
+    assert rainsim(*words, "whole").code == 0
+    whole = written(tmp_path / "whole")
+    assert {"depth.png", "depth.asc", "gauges.csv", "state.npz"} <= set(whole)
+    kills = 0
+    for number in itertools.count(step=every):
+        left[0] = number
+        try:
+            done = rainsim(*words, f"out{number}")
+        except KilledError:
+            kills += 1
+        else:
+            assert done.code == 0
+            break
+        left[0] = math.inf
+        again = rainsim(*words, f"out{number}", "--resume")
+        assert again.code == 0, again.err
+        assert written(tmp_path / f"out{number}") == whole, number
+    assert kills > 40 / every
