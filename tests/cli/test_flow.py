@@ -82,6 +82,7 @@ def test_a_stopped_run_goes_on(rainsim, tmp_path, valley, monkeypatch):
     stopped = rainsim("flow", *WORDS, "--duration", "60", "--out", "out")
     assert stopped.code == 130 and "--resume goes on" in stopped.err
     assert table(tmp_path / "out/gauges.csv")[1][-1, 0] == 20
+    assert not (tmp_path / "out/depth.asc").exists()  # maps are those of the end
     done = rainsim("flow", *WORDS, "--duration", "60", "--out", "out", "--resume")
     assert done.code == 0, done.err
     for name in ("gauges.csv", "depth.asc", "u.asc", "v.asc"):
@@ -110,6 +111,26 @@ def test_a_stopped_run_goes_on(rainsim, tmp_path, valley, monkeypatch):
                     "--resume")  # fmt: skip
     assert other.code == 2 and "was another" in other.error
     assert "no friction" in rainsim("flow", "valley.asc", "--duration", "1", "--out", "n").err
+
+
+@pytest.mark.parametrize("pressed", ["twice", "at once"])
+def test_a_step_that_takes_long_may_be_ended(rainsim, tmp_path, valley, monkeypatch, pressed):
+    steps = []
+
+    def press(*_):
+        steps.append(0)
+        if len(steps) == 3 or pressed == "at once":
+            os.kill(os.getpid(), signal.SIGINT)
+            if pressed == "twice":
+                os.kill(os.getpid(), signal.SIGINT)
+            pytest.fail("the step went on")
+        return 0.01
+
+    monkeypatch.setattr("rainsim.grid.longest_step", press)
+    done = rainsim("flow", *WORDS, "--duration", "60", "--out", "out")
+    assert done.code == 130 and "interrupted" in done.err and "stopped at" not in done.err
+    assert len(steps) == (3 if pressed == "twice" else 1)
+    assert not (tmp_path / "out/state.npz").exists()
 
 
 @pytest.mark.parametrize(
