@@ -78,6 +78,8 @@ def viewing(*arguments, folder=None):
     process = subprocess.Popen(
         [*command, "--port", str(free_port())], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         text=True, cwd=folder,
+        # a shell that runs the tests in the background has all below it ignore the signal
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     try:
         address = process.stdout.readline().strip().partition("/?")[0]  # with all its pixels

@@ -181,9 +181,9 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
         record.begin()
         record.add(GAUGES, STATE)
         finished = run.to(duration, period, rain)
-        spacing = given["spacing"] or ground.spacing
-        names = _write_maps(out, ground, spacing, solver, absent)
-        record.add(*names)
+        if finished:  # maps of millions of cells take longer than who ends a run should wait
+            spacing = given["spacing"] or ground.spacing
+            record.add(*_write_maps(out, ground, spacing, solver, absent))
         record.write(complete=finished, time=solver.time, ledger=solver.ledger.as_dict())
     if not finished:
         status.say(f"stopped at {solver.time:.6g} s; --resume goes on from there")
@@ -281,7 +281,7 @@ class Run:
         if not self.gauges.rows:
             self.gauges.read()
         saved = time.perf_counter()
-        with _interrupts() as pressed:
+        with _interrupts(lambda: self.steps > 0) as pressed:
 
             def goes_on(now):
                 nonlocal saved
@@ -303,11 +303,20 @@ class Run:
 
 
 @contextmanager
-def _interrupts():
-    """Yield an event that Ctrl-C sets: raised within a step, it would leave half of one."""
+def _interrupts(has_begun):
+    """Yield an event that Ctrl-C sets: raised within a step, it would leave half of one.
+
+    It is raised all the same if pressed again, or before the first step is over, which may compile.
+    """
     pressed = threading.Event()
+
+    def press(*_):
+        if pressed.is_set() or not has_begun():
+            raise KeyboardInterrupt
+        pressed.set()
+
     own = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGINT, lambda *_: pressed.set()) if own else None
+    before = signal.signal(signal.SIGINT, press) if own else None
     try:
         yield pressed
     finally:

@@ -24,6 +24,7 @@ PARTS = ("camera", "ground", "water", "rain", "capture")
 @options.ground_options
 @options.terrain_options
 @options.mask_options
+@options.resume_option
 @options.output_options("rainsim-out/SCENE-world")
 def world(scene, parts, **given):
     """Write SCENE in the rain for other renderers, as USD in metres with z up (needs rainsim[usd]).
@@ -57,6 +58,8 @@ def world(scene, parts, **given):
                 **masks_named(given),
             }  # fmt: skip
             record = Record(job.out, loaded, content, **settings_facts(config, job.preset))
+            if job.resume:
+                record.resume(())  # one step: it is written again in the folder of the same world
             record.begin()
             from rainsim.world.write import write_parts
 

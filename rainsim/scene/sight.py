@@ -136,8 +136,8 @@ def in_nerfstudio_frame(splat_file, camera_file, cameras):
     file = next((f / DATAPARSER for f in folders if (f / DATAPARSER).is_file()), None)
     if file is None:
         return cameras, [
-            "nerfstudio exported the splats in a frame of its own; cameras of transforms.json are "
-            f"in it only with the run's {DATAPARSER} beside the splats "
+            "WARNING: nerfstudio exported the splats in a frame of its own; cameras of "
+            f"transforms.json are in it only with the run's {DATAPARSER} beside the splats "
             "(outputs/NAME/METHOD/TIME/); copy it there"
         ]
     data = read_json(file, "a nerfstudio transform")

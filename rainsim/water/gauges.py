@@ -108,9 +108,11 @@ class Gauges:
 
         end = begin + require_not_negative("duration", duration, "s")
         count = int(np.ceil((end - begin) / period - 1e-9))
-        for n in range(int((solver.time - begin) / period + 1e-9) + 1, count + 1):
+        # A run that was killed at the time of a reading has a state of it, but no reading yet.
+        for n in range(max(math.ceil((solver.time - begin) / period - 1e-9), 1), count + 1):
             stop = end if n == count else begin + n * period
-            report = solver.advance(max(stop - solver.time, 0.0), rain, progress and told)
+            if stop > solver.time:
+                report = solver.advance(stop - solver.time, rain, progress and told)
             reached = solver.time >= stop - 1e-9 * max(abs(stop), 1.0)
             if reached and not self._has_read(solver.time):
                 self.read()

@@ -1,7 +1,9 @@
 """`rainsim flow`: the water solver alone, from maps and tables to maps, gauges and a state."""
 
 import csv
+import itertools
 import json
+import math
 import os
 import signal
 
@@ -9,7 +11,9 @@ import numpy as np
 import pytest
 
 from rainsim.commands import flow
+from rainsim.io import files
 from rainsim.io.rasters import Raster, read_raster, write_raster
+from run_folders import written
 
 N = 12
 
@@ -78,6 +82,7 @@ def test_a_stopped_run_goes_on(rainsim, tmp_path, valley, monkeypatch):
     stopped = rainsim("flow", *WORDS, "--duration", "60", "--out", "out")
     assert stopped.code == 130 and "--resume goes on" in stopped.err
     assert table(tmp_path / "out/gauges.csv")[1][-1, 0] == 20
+    assert not (tmp_path / "out/depth.asc").exists()  # maps are those of the end
     done = rainsim("flow", *WORDS, "--duration", "60", "--out", "out", "--resume")
     assert done.code == 0, done.err
     for name in ("gauges.csv", "depth.asc", "u.asc", "v.asc"):
@@ -106,6 +111,26 @@ def test_a_stopped_run_goes_on(rainsim, tmp_path, valley, monkeypatch):
                     "--resume")  # fmt: skip
     assert other.code == 2 and "was another" in other.error
     assert "no friction" in rainsim("flow", "valley.asc", "--duration", "1", "--out", "n").err
+
+
+@pytest.mark.parametrize("pressed", ["twice", "at once"])
+def test_a_step_that_takes_long_may_be_ended(rainsim, tmp_path, valley, monkeypatch, pressed):
+    steps = []
+
+    def press(*_):
+        steps.append(0)
+        if len(steps) == 3 or pressed == "at once":
+            os.kill(os.getpid(), signal.SIGINT)
+            if pressed == "twice":
+                os.kill(os.getpid(), signal.SIGINT)
+            pytest.fail("the step went on")
+        return 0.01
+
+    monkeypatch.setattr("rainsim.grid.longest_step", press)
+    done = rainsim("flow", *WORDS, "--duration", "60", "--out", "out")
+    assert done.code == 130 and "interrupted" in done.err and "stopped at" not in done.err
+    assert len(steps) == (3 if pressed == "twice" else 1)
+    assert not (tmp_path / "out/state.npz").exists()
 
 
 @pytest.mark.parametrize(
@@ -189,3 +214,46 @@ def test_a_run_that_is_over_gains_no_reading_and_keeps_its_period(rainsim, tmp_p
         assert (tmp_path / "out/gauges.csv").read_bytes() == kept
     other = rainsim("flow", *words, "--period", "4", "--resume")
     assert other.code == 2 and "has readings every 3 s" in other.error
+
+
+class KilledError(BaseException):
+    """Ends a run as a signal that cannot be caught does: nothing else is written."""
+
+
+@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow), 5])
+def test_a_run_that_is_killed_around_any_file_goes_on_to_the_same_bytes(
+    rainsim, tmp_path, valley, monkeypatch, every, after
+):
+    words = ("flow", *WORDS, "--duration", "25", "--out")
+    left = [math.inf]
+    monkeypatch.setattr(flow, "SAVE_EVERY", -1.0)  # after each step
+    put = files.put_in_place
+
+    def counted(*paths):
+        left[0] -= 1
+        if left[0] < 0 and not after:
+            raise KilledError
+        put(*paths)
+        if left[0] < 0:
+            raise KilledError
+
+    monkeypatch.setattr(files, "put_in_place", counted)
+    assert rainsim(*words, "whole").code == 0
+    whole = written(tmp_path / "whole")
+    assert {"depth.png", "depth.asc", "gauges.csv", "state.npz"} <= set(whole)
+    kills = 0
+    for number in itertools.count(step=every):
+        left[0] = number
+        try:
+            done = rainsim(*words, f"out{number}")
+        except KilledError:
+            kills += 1
+        else:
+            assert done.code == 0
+            break
+        left[0] = math.inf
+        again = rainsim(*words, f"out{number}", "--resume")
+        assert again.code == 0, again.err
+        assert written(tmp_path / f"out{number}") == whole, number
+    assert kills > 40 / every

@@ -13,8 +13,10 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from rainsim.io.rasters import Raster, write_raster
 from rainsim.scene.folder import write_scene
 from run_folders import written
 from scenes import tiny_scene
@@ -30,13 +32,23 @@ STAGES = {
     "simulate": ["simulate", "map", *FRAMES],
     "render": ["render", "states", "--scene", "tiny", *PICTURE, "--layers", "depth"],
     "run": ["run", "--scene", "tiny", *MAP, *FRAMES, *PICTURE],
+    "world": ["world", "tiny", *MAP, *FRAMES, "--width", "64"],
+    "flow": ["flow", "hills.asc", "--rain", "60", "--manning", "0.03", "--duration", "1000"],
 }
+OFTEN = """  # some states a second, where a long run writes one a minute
+from rainsim.commands import flow
+from rainsim.cli import main
+flow.SAVE_EVERY = 0.05
+main()
+"""
+PROGRAM = {"flow": ["-c", OFTEN]}
 
 
 def start(folder, stage, out):
     """Start a stage in a folder, with a folder for what is kept between runs."""
     kept = {"RAINSIM_CACHE": str(folder / "kept"), "RAINSIM_COMPILE_PROCESSES": "1"}
-    command = [sys.executable, "-m", "rainsim", *STAGES[stage], "--out", out, "--resume", "-q"]
+    program = PROGRAM.get(stage, ["-m", "rainsim"])
+    command = [sys.executable, *program, *STAGES[stage], "--out", out, "--resume", "-q"]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     path = {"PYTHONPATH": os.pathsep.join(sys.path)}
     return subprocess.Popen(command, cwd=folder, env=os.environ | kept | path, **pipes)
@@ -54,6 +66,8 @@ def finish(folder, stage, out):
 def prepared(folder, stage):
     """Make what a stage reads, and its result in one go; return the seconds of a second run."""
     write_scene(folder / "tiny", tiny_scene())
+    bed = np.random.default_rng(1).random((120, 120))
+    write_raster(folder / "hills.asc", bed, Raster(bed, 2.0, (0.0, 0.0), ".asc"))
     if stage in ("simulate", "render"):
         finish(folder, "heightmap", "map")
     if stage == "render":
@@ -86,6 +100,9 @@ def killed_and_run_again(folder, stage, kills, seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES)
 def test_killed_at_random_moments(tmp_path, stage):
+    if stage == "world":
+        pytest.importorskip("pxr")
+        pytest.importorskip("trimesh")
     outcome = killed_and_run_again(tmp_path, stage, KILLS, SEED)
     assert outcome["kills"] >= KILLS and outcome["while files were there"] > 0, outcome
 

@@ -232,3 +232,15 @@ def test_presets_lists_all_keys(rainsim):
     assert [line.split()[0] for line in printed] == list(HUMAN_KEYS)
     rows = json.loads(rainsim("presets", "--keys", "--json").out)
     assert rows[0]["unit"] == "mm/h" and rows[0]["default"] == 10
+
+
+def test_ctrl_c_while_the_command_line_is_loaded_is_one_line(monkeypatch, capsys):
+    from rainsim import __main__ as entry
+
+    def pressed():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rainsim.cli.main", pressed)
+    with pytest.raises(SystemExit) as ended:
+        entry.main()
+    assert ended.value.code == 130 and capsys.readouterr().err == "interrupted\n"

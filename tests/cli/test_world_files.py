@@ -9,6 +9,7 @@ from rainsim.errors import InputError
 from rainsim.scene.cameras import read_cameras
 from rainsim.scene.library import load_scene
 from rainsim.scene.shot import read_shot
+from run_folders import written
 
 FILM = ["--spacing", "0.04", "--extent", "1", "--relight", "off", "--width", "48"]
 
@@ -112,6 +113,31 @@ def test_a_world_has_the_frames_of_its_camera(rainsim, scene_folder, tmp_path):
     assert "startTimeCode" not in (tmp_path / "out/world.usda").read_text()
     done = rainsim(*world, "--parts", "sky", "--out", "out2")
     assert done.code == 2 and "--parts has 'sky'; each must be one of camera, ground" in done.error
+
+
+def test_a_world_that_was_stopped_is_written_again_to_the_same_bytes(
+    rainsim, scene_folder, tmp_path, monkeypatch
+):
+    pytest.importorskip("pxr")
+    pytest.importorskip("trimesh")
+    words = "world", scene_folder, *FILM[:4], "--frames", "3", "--width", "48", "--out"
+    assert rainsim(*words, "whole").code == 0
+    whole = written(tmp_path / "whole")
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    for out in ("write_glb", "falling_at", "write_world"):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"rainsim.world.write.{out}", interrupted)
+            assert rainsim(*words, out).code == 130
+        again = rainsim(*words, out)
+        assert again.code == 2 and "--resume to go on with an unfinished run" in again.error
+        other = rainsim(*words, out, "--resume", "--rain", "3")
+        assert other.code == 2 and "was another" in other.error
+        done = rainsim(*words, out, "--resume")
+        assert done.code == 0, done.err
+        assert written(tmp_path / out) == whole
 
 
 def test_a_world_needs_usd(rainsim, monkeypatch):

@@ -259,6 +259,7 @@ UNKNOWN = {
     "noise": (np.random.default_rng(0).bytes(3200), "no splat file"),
     "zeros": (bytes(3200), "no splat file"),
     "json": (b'{"frames": []}', "does not describe splats"),
+    "gltf": (b'{"asset": {"version": "2.0"}}', "a glTF in text; export it as binary"),
     "a capture's zip": (
         made.bundle({"cameras.json": b"[]", "a/point_cloud.ply": b"ply"}),
         "the capture a/point_cloud.ply in it.*unpack the zip",

@@ -1,9 +1,11 @@
 """Every command and every Python block of the pages runs, in the order of its page.
 
 Each page has a fresh folder with a stand-in for the reader's capture, called garden, the same as a
-file without cameras, called park.ply, and painted masks of its cameras. Commands run as they stand.
+file without cameras, called park.ply, and painted masks of its cameras; the same from the air,
+called survey, and as nerfstudio leaves it, called yard. Commands run as they stand.
 """
 
+import json
 import os
 import shutil
 import subprocess
@@ -14,8 +16,10 @@ import numpy as np
 import pytest
 
 from made_captures import write_model_folder
+from made_formats import write_splats
 from pages import viewing
 from rainsim.io.images import write_png
+from rainsim.scene.cameras import look_at, write_transforms
 from site_pages import PAGES, ROOT, blocks, commands, name_of
 
 FOREIGN = {  # words of commands that do not run here, and what they need
@@ -44,7 +48,39 @@ def garden(tmp_path_factory, bicycle_scene):
     (folder / "masks").mkdir()
     for name in names:
         write_png(folder / "masks" / f"{name}.png", np.full((48, 72), 7, np.uint8))
+    _write_survey(folder / "survey", scene)
+    _write_yard(folder / "yard", scene)
     return folder
+
+
+def _write_survey(folder, scene):
+    """A scene under cameras that look straight down from 25 m."""
+    frame = scene.ground_frame
+    places = [(3.0 * i, 3.0 * j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    eyes = [frame.to_capture((x, y, 25.0)) for x, y in places]
+    north = frame.rotation[1]
+    cameras = [look_at(eye, eye - frame.up, north, 40, 1200, 900) for eye in eyes]
+    names = [f"DJI_{number:04}" for number in range(len(cameras))]
+    write_model_folder(folder, replace(scene, cameras=tuple(cameras)), names)
+
+
+def _write_yard(folder, scene):
+    """A scene as nerfstudio leaves it: its splats are half as large as its cameras say."""
+    folder.mkdir()
+    splats, half = scene.splats, np.float32(0.5)
+    small = replace(splats, position=half * splats.position, scale=half * splats.scale)
+    write_splats(folder / "splat.ply", small)
+    whole = (folder / "splat.ply").read_bytes()
+    said = whole.replace(b"1.0\n", b"1.0\ncomment Vertical Axis: z\n", 1)
+    (folder / "splat.ply").write_bytes(said)
+    write_transforms(folder / "transforms.json", scene.cameras)
+    file = folder / "transforms.json"
+    data = json.loads(file.read_text(encoding="utf-8"))
+    for entry in data["frames"]:
+        del entry["camera_from_world"]  # our own, which the other program does not write
+    file.write_text(json.dumps(data), encoding="utf-8")
+    saved = {"transform": np.eye(4)[:3].tolist(), "scale": 0.5}
+    (folder / "dataparser_transforms.json").write_text(json.dumps(saved), encoding="utf-8")
 
 
 @pytest.fixture
@@ -109,7 +145,7 @@ def test_python_of_a_page_runs(name, here, capsys):
     "path", [pytest.param(path, id=name_of(path)) for path in PAGES if has_work(path)]
 )
 def test_a_page_runs_as_it_stands(path, here, garden):
-    for name in ("garden", "masks", "park.ply"):
+    for name in ("garden", "masks", "park.ply", "survey", "yard"):
         (here / name).symlink_to(garden / name)
     (here / "examples").symlink_to(ROOT / "examples")
     walk(path)
