@@ -349,7 +349,7 @@ PLACED = 'uniform token[] xformOpOrder = ["xformOp:{0}"]\n{1} xformOp:{0} = {2}'
         (usd_camera(""), {"head": "timeCodesPerSecond = 0"}, "timeCodesPerSecond is 0"),
         (usd_camera(""), {"head": "startTimeCode = 9\nendTimeCode = 1"}, "frames from 9 to 1"),
         (usd_camera(""), {"head": "startTimeCode = 0\nendTimeCode = 1e12"}, "must be 1 to 100000"),
-        ("def Cam", {}, "cannot be opened as USD"),
+        ("def Cam", {}, "cannot be read as USD"),
     ],
 )
 def test_broken_usd_ends_in_one_line(inside, settings, message, tmp_path, capfd):
