@@ -15,7 +15,7 @@ from rainsim.scene.shot_camera import (
     frame_times,
     require_chosen,
 )
-from rainsim.scene.usd_guard import opened
+from rainsim.scene.usd_guard import opened, require_types
 
 INSTALL = 'pip install "rainsim[usd]"'
 
@@ -50,6 +50,7 @@ def _read(path, stage, name):
         if prim.IsA(UsdGeom.Camera)
     ]
     index = require_chosen([str(prim.GetPath()) for prim in prims], name, path)
+    require_types(path, prims[index])
     world = world_of(stage, path)
     times = _times(stage, prims[index], world, path)
     cameras = [_camera(path, stage, prims[index], time) for time in times]

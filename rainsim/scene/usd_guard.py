@@ -19,6 +19,7 @@ MOST_TEXT = 1 << 28  # bytes of one file that is text
 MOST_DEPTH = 200  # prims or brackets within each other; stages of films have some 20
 MOST_PRIMS = 300_000  # some 700 MB
 CAMERA_ALONE = "export the camera alone"
+TYPED = ("xformOp", "focalLength", "horizontalAperture", "verticalAperture")  # as names begin
 TEXT, ZIP = b"#", b"PK\x03\x04"  # as files begin; others are binary
 STEPS = {b"[": 1, b"(": 1, b"{": 1, b"]": -1, b")": -1, b"}": -1}
 # Text within quotes, asset names and comments hold no brackets that count. What is not closed goes
@@ -52,6 +53,30 @@ def opened(path):
         ) from None
     finally:
         del quiet
+
+
+def require_types(path, prim):
+    """Raise InputError if lens or place of a prim have values of other types than USD gives them.
+
+    The library takes defaults for most of them without a word. Parents place a prim too.
+    """
+    from pxr import Gf, Usd
+
+    while prim:
+        for attribute in prim.GetAuthoredAttributes():
+            name = attribute.GetName()
+            if not name.startswith(TYPED):
+                continue
+            value = attribute.Get(Usd.TimeCode.EarliestTime())
+            wanted = (type(attribute.GetTypeName().defaultValue),)
+            if name.startswith("xformOp:orient"):
+                wanted = Gf.Quatf, Gf.Quatd, Gf.Quath
+            if value is not None and type(value) not in wanted:
+                raise InputError(
+                    f"{path} {prim.GetPath()}: {name} is a {type(value).__name__}; it must be a "
+                    f"{wanted[0].__name__}; correct it, or export it again"
+                )
+        prim = prim.GetParent()
 
 
 def reason(error):

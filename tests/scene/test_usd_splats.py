@@ -129,9 +129,10 @@ def test_all_files_of_a_stage_are_hashed(tmp_path):
         ({"opacities": f"float[] opacities = [{', '.join(['nan'] * 40)}]"}, "", "40 of 40 splats"),
         ({}, placed(np.diag([1, 1, -1, 1])), "mirrors or shears"),
         ({}, placed(np.diag([1, 0, 1, 1])), "a node scales by"),
-        ({}, placed(np.diag([1, 1, np.inf, 1])), "its place is not finite"),
+        ({}, placed(np.diag([1, 1, np.inf, 1])), "its place is no finite matrix"),
+        ({}, placed(np.diag([1, 1, 1, 5])), "its place is no finite matrix"),
         ({}, 'token xformOp:translate = "a"\nuniform token[] xformOpOrder = ["xformOp:translate"]',
-         "cannot be read as USD"),
+         "xformOp:translate is a str; it must be a|cannot be read as USD"),
     ],
 )  # fmt: skip
 def test_broken_splats_end_in_one_line(tmp_path, capfd, changed, lines, message):

@@ -17,7 +17,7 @@ from rainsim.scene.harmonics import turned
 from rainsim.scene.shot_camera import Z_UP
 from rainsim.scene.splat_sets import joined
 from rainsim.scene.usd_cameras import require_usd, world_of
-from rainsim.scene.usd_guard import opened, require_tame
+from rainsim.scene.usd_guard import opened, require_tame, require_types
 
 TYPE = "ParticleField3DGaussianSplat"
 # Of each attribute the classes of its values; those of half precision have a name that ends in h.
@@ -52,7 +52,7 @@ def read_usd_splats(path, max_broken):
         total = len(ARRAYS) * sum(len(each["positions"]) for each in arrays)
         require_believable(path, total, size)
         notes = _notes(stage, prims)
-        places = [_place(prim, world) for prim in prims]
+        places = [_place(path, prim, world) for prim in prims]
         parts = [_read(path, *part) for part in zip(prims, arrays, places, strict=True)]
     read, good = zip(*parts, strict=True)
     splats, broken = keep_good(path, joined(read), np.concatenate(good), max_broken)
@@ -90,12 +90,15 @@ def _notes(stage, prims):
     return notes
 
 
-def _place(prim, world):
+def _place(path, prim, world):
     """Return the matrix (3, 4) that takes a prim's own numbers to metres with z up."""
     from pxr import Usd, UsdGeom
 
+    require_types(path, prim)
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     matrix = np.array(cache.GetLocalToWorldTransform(prim)).T
+    if not np.isfinite(matrix).all() or not np.allclose(matrix[3], (0, 0, 0, 1)):
+        raise _wrong(path, prim, "its place is no finite matrix that turns, moves and scales")
     return world.meters * Z_UP[world.up] @ matrix[:3]
 
 
@@ -128,8 +131,6 @@ def _arrays(path, prim):
 
 def _read(path, prim, arrays, place):
     """Return the Splats of a prim in the stage's world, and which are usable."""
-    if not np.isfinite(place).all():
-        raise _wrong(path, prim, "its place is not finite")
     rotation, scales = decomposed(place[:, :3], lambda text: _wrong(path, prim, text))
     position, turn, scale, opacity, sh = arrays.values()
     sh = turned(sh, rotation)
