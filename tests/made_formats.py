@@ -319,6 +319,29 @@ def sog_v1(splats):
 FIELDS = ("position", "rotation", "scale", "opacity", "sh")
 
 
+def usda_splats(splats, half="", lines="", **changed):
+    """A prim of splats as text, after UsdVol's schema; `changed` attributes are text or None."""
+
+    def rows(values):
+        values = [", ".join(f"{v:.9g}" for v in row) for row in values.reshape(len(values), -1)]
+        return "[" + ", ".join(f"({v})" if "," in v else v for v in values) + "]"
+
+    harmonics, real = "radiance:sphericalHarmonics", "half" if half else "float"
+    attributes = {
+        f"uniform int {harmonics}Degree": round(splats.sh.shape[1] ** 0.5) - 1,
+        f"point3{real[0]}[] positions{half}": rows(splats.position),
+        f"quat{real[0]}[] orientations{half}": rows(splats.rotation),
+        f"{real}3[] scales{half}": rows(splats.scale),
+        f"{real}[] opacities{half}": rows(splats.opacity),
+        f"{real}3[] {harmonics}Coefficients{half}": rows(splats.sh.reshape(-1, 3)),
+    }
+    attributes = "\n".join(
+        changed.get(name.rpartition(":")[2].rpartition(" ")[2], f"{name} = {value}")
+        for name, value in attributes.items()
+    )
+    return f'def ParticleField3DGaussianSplat "Splats"\n{{\n{attributes}\n{lines}\n}}\n'
+
+
 def bundle(files, compression=zipfile.ZIP_STORED, prefix=""):
     """Files by name as a zip."""
     buffer = io.BytesIO()

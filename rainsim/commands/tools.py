@@ -30,8 +30,8 @@ def import_(path, info, lod, **given):
     """Read a capture, find its ground, and write it as a scene folder.
 
     PATH is a trained model's folder (point_cloud/iteration_*/point_cloud.ply and cameras.json) or a
-    splat file (PLY, compressed PLY, SPZ, SOG, .splat, .glb) with cameras.json, transforms.json or a
-    COLMAP model (sparse/0) beside it; or a scene with things that move, an actors.json. Writes
+    splat file (PLY, compressed PLY, SPZ, SOG, .splat, .glb, USD) with cameras.json, transforms.json
+    or a COLMAP model (sparse/0) beside it; or a scene with things that move, an actors.json. Writes
     splats.npz, scene.json, with actors actors.npz, and ground_frame.json. Put the folder where
     RAINSIM_SCENES points to use it by name. Prints the ground frame and, from the height map, what
     the captured colours are taken for, which --ground-albedo of `run` corrects.

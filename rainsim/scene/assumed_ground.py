@@ -33,6 +33,7 @@ WIDTH = 8.0  # m across what lies on the ground: a yard
 SURE, LEAST_SURE = 0.5, 0.2  # scores of a surface: no other is looked for; it counts at all
 LEAST_WIDTH = 1e-6  # of the greatest coordinate: less is one point, in float32
 LOWEST = 2.0  # percentile of the splats' heights that is ground where no surface is found
+TILT = math.radians(3.0)  # of the ground against a stage's up that counts as level
 SLAB = 0.3  # m about the ground's height in which splats lie on it
 
 
@@ -138,6 +139,19 @@ def _surface(splats, points, hint):
     if best is not None and score(best) > LEAST_SURE:
         return best
     return found[1] if len(found) > 1 else None
+
+
+def of_stage(frame, splats):
+    """Return the ground frame of a USD stage in metres with z up: the stage's own if that fits.
+
+    Cameras of the stage then fit too. `frame` is the one that was found.
+    """
+    middle = np.median(splats.position, axis=0)
+    high = frame.to_ground(middle)[2] - middle[2]
+    if frame.rotation[2, 2] < math.cos(TILT) or abs(high) > SLAB:
+        return frame
+    notes = ("the ground lies at z = 0 of the stage, whose axes and metres are kept",)
+    return replace(frame, rotation=np.eye(3), translation=np.zeros(3), notes=notes)
 
 
 def ground_extent(splats, frame):

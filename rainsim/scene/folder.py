@@ -37,11 +37,11 @@ from rainsim.io.files import (
     require_file,
     write_json,
 )
-from rainsim.scene.assumed_ground import ground_frame_of
+from rainsim.scene.assumed_ground import ground_frame_of, of_stage
 from rainsim.scene.big import open_pages, require_home
 from rainsim.scene.cameras import JSON_FILES, cameras_from_data, cameras_to_data, load_cameras
 from rainsim.scene.colmap import find_model
-from rainsim.scene.formats import META, SUFFIXES, read_splats, sha256_of, trained_antialiased
+from rainsim.scene.formats import LEVEL, META, SUFFIXES, read_splats, sha256_of, trained_antialiased
 from rainsim.scene.formats.streamed import LOD_META
 from rainsim.scene.ground import (
     ground_frame_from_dict,
@@ -134,10 +134,12 @@ def import_scene(
     camera_notes = [*camera_notes, *require_sight(path, splats, cameras)]
     for field in fields(splats):
         cache.know_hash(getattr(splats, field.name), "splats", source_hash, field.name)
-    if ground_frame is None:
-        frame = _kept_frame(source_hash, splats, cameras, up, meters_per_unit, camera_height)
-    else:
+    if ground_frame is not None:
         frame = _as_frame(ground_frame, source_hash)
+    elif LEVEL in notes and (up, meters_per_unit, camera_height) == (None,) * 3:
+        frame = of_stage(_kept_frame(source_hash, splats, cameras, (0, 0, 1), 1.0, None), splats)
+    else:
+        frame = _kept_frame(source_hash, splats, cameras, up, meters_per_unit, camera_height)
     name = path.resolve().name if path.is_dir() else _file_name(path, model)
     notes = (*notes, *camera_notes)
     return Scene(name, splats, tuple(cameras), frame, path, source_hash, notes,

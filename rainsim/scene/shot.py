@@ -16,12 +16,12 @@ from rainsim.errors import InputError
 from rainsim.io.files import MAX_LENGTH, read_json
 from rainsim.scene.camera_entry import Entry
 from rainsim.scene.cameras import cameras_from_data
+from rainsim.scene.formats import USD_SUFFIXES
 from rainsim.scene.gltf_cameras import read_gltf
 from rainsim.scene.shot_camera import MOST_FPS, Z_UP, World, require_chosen
 from rainsim.scene.types import GroundFrame
 from rainsim.scene.usd_cameras import read_usd
 
-USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 GLTF_SUFFIXES = (".gltf", ".glb")
 SHOT = "shot"  # key of a transforms.json
 MOST_FRAME = 10**8  # number of a frame

@@ -81,7 +81,7 @@ def camera_at(path, label, matrix, lens):
     entry = Entry(path, label, {"place": np.asarray(matrix).tolist()})
     matrix = entry.array("place", (4, 4))
     lengths = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not (lengths > 0).all():
+    if not (lengths > 0).all() or not np.allclose(matrix[3], (0, 0, 0, 1)):
         raise entry.error("place", "a rotation, a translation and scales above 0")
     turn = entry.rotation("place", matrix[:3, :3] / lengths) * FLIP
     if not np.isfinite(lens[:4]).all() or min(lens.focal, lens.shape) <= 0:

@@ -15,7 +15,7 @@ from rainsim.scene.shot_camera import (
     frame_times,
     require_chosen,
 )
-from rainsim.scene.usd_guard import require_tame
+from rainsim.scene.usd_guard import opened, require_types
 
 INSTALL = 'pip install "rainsim[usd]"'
 
@@ -37,37 +37,30 @@ def read_usd(path, name=None):
     """
     require_file(path, "a USD file")
     require_usd(f"{path} is USD; reading it")
-    from pxr import Usd, UsdGeom, UsdUtils
+    with opened(path) as (stage, _):
+        return _read(path, stage, name)
 
-    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # it keeps the library's warnings to itself
-    stage = _opened(path)
+
+def _read(path, stage, name):
+    from pxr import Usd, UsdGeom
+
     prims = [
         prim
         for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
         if prim.IsA(UsdGeom.Camera)
     ]
     index = require_chosen([str(prim.GetPath()) for prim in prims], name, path)
-    world = _world_of(stage, path)
+    require_types(path, prims[index])
+    world = world_of(stage, path)
     times = _times(stage, prims[index], world, path)
     cameras = [_camera(path, stage, prims[index], time) for time in times]
-    del quiet
     per_frame = stage.GetTimeCodesPerSecond() / (world.fps or stage.GetTimeCodesPerSecond())
     first = times[0] / per_frame if np.isfinite(times[0]) else 0.0
     return cameras, world._replace(first=float(first))
 
 
-def _opened(path):
-    from pxr import Tf, Usd
-
-    try:
-        return Usd.Stage.Open(require_tame(path))
-    except Tf.ErrorException:
-        raise InputError(
-            f"{path} cannot be opened as USD; it must be whole and undamaged; export it again"
-        ) from None
-
-
-def _world_of(stage, path):
+def world_of(stage, path):
+    """Return the `World` of a stage."""
     from pxr import UsdGeom
 
     up, meters = str(UsdGeom.GetStageUpAxis(stage)), UsdGeom.GetStageMetersPerUnit(stage)

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import re
 import zipfile
+from contextlib import contextmanager
+from pathlib import Path
 
-from rainsim.errors import InputError
+from rainsim.errors import InputError, RainsimError
 from rainsim.io.files import require_file
 
 MOST_FILES, MOST_BYTES = 10_000, 1 << 32  # of a stage in all; a film's shot has some hundred MB
@@ -17,6 +19,7 @@ MOST_TEXT = 1 << 28  # bytes of one file that is text
 MOST_DEPTH = 200  # prims or brackets within each other; stages of films have some 20
 MOST_PRIMS = 300_000  # some 700 MB
 CAMERA_ALONE = "export the camera alone"
+TYPED = ("xformOp", "focalLength", "horizontalAperture", "verticalAperture")  # as names begin
 TEXT, ZIP = b"#", b"PK\x03\x04"  # as files begin; others are binary
 STEPS = {b"[": 1, b"(": 1, b"{": 1, b"]": -1, b")": -1, b"}": -1}
 # Text within quotes, asset names and comments hold no brackets that count. What is not closed goes
@@ -29,10 +32,63 @@ TOKENS = re.compile(
 )
 
 
+@contextmanager
+def opened(path):
+    """Yield the stage at `path`, checked, and the bytes of all of its files.
+
+    Whatever the library cannot use of it while it is open is said in one line, its warnings not.
+    """
+    from pxr import Usd, UsdUtils
+
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        root, files = require_tame(path)
+        yield Usd.Stage.Open(root), sum(file.stat().st_size for file in files)
+    except (RainsimError, OSError):
+        raise
+    except Exception as error:  # the library's own, and those of values of other types
+        raise InputError(
+            f"{path} cannot be read as USD ({reason(error)}); its values must be of USD's types "
+            "and its files whole; export it again"
+        ) from None
+    finally:
+        del quiet
+
+
+def require_types(path, prim):
+    """Raise InputError if lens or place of a prim have values of other types than USD gives them.
+
+    The library takes defaults for most of them without a word. Parents place a prim too.
+    """
+    from pxr import Gf, Usd
+
+    while prim:
+        for attribute in prim.GetAuthoredAttributes():
+            name = attribute.GetName()
+            if not name.startswith(TYPED):
+                continue
+            value = attribute.Get(Usd.TimeCode.EarliestTime())
+            wanted = (type(attribute.GetTypeName().defaultValue),)
+            if name.startswith("xformOp:orient"):
+                wanted = Gf.Quatf, Gf.Quatd, Gf.Quath
+            if value is not None and type(value) not in wanted:
+                raise InputError(
+                    f"{path} {prim.GetPath()}: {name} is a {type(value).__name__}; it must be a "
+                    f"{wanted[0].__name__}; correct it, or export it again"
+                )
+        prim = prim.GetParent()
+
+
+def reason(error):
+    """Return why the library failed, as its exception has it."""
+    found = re.search(r" : '(.*)'", str(error))
+    return found[1] if found else type(error).__name__
+
+
 def require_tame(path):
     """Raise InputError unless the stage at `path` names regular files only and stays within bounds.
 
-    Returns the stage's root layer, opened.
+    Returns the stage's root layer, opened, and its files, a list of Path.
     """
     from pxr import Ar, Sdf, Tf
 
@@ -43,7 +99,7 @@ def require_tame(path):
         file = Ar.SplitPackageRelativePathOuter(name)[0]
         if name in files:
             continue
-        files[name] = True
+        files[name] = Path(file)
         size += checked_size(path, file)
         if len(files) > MOST_FILES or size > MOST_BYTES:
             raise InputError(
@@ -68,7 +124,7 @@ def require_tame(path):
     if root is None:
         raise InputError(f"{path} cannot be opened as USD; export it again")
     _check_composed(path, root)
-    return root
+    return root, list(dict.fromkeys(files.values()))
 
 
 def checked_size(path, file):

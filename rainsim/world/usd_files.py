@@ -5,7 +5,6 @@ All are in the ground frame, in metres with z up; a time code is a frame.
 
 from __future__ import annotations
 
-import re
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from rainsim.errors import RainsimError
 from rainsim.io.files import replacing
+from rainsim.scene.usd_guard import reason
 
 SENSOR = 0.036  # m, width that a camera's picture is given: 36 mm, as on film of 35 mm
 TENTH = 10.0  # lenses of USD are in tenths of a unit
@@ -71,11 +71,9 @@ def _writing(path):
     try:
         yield
     except Tf.ErrorException as error:
-        found = re.search(r" : '(.*)'", str(error))
-        fault = found[1] if found else "no reason is given"
         raise RainsimError(
-            f"{path.parent} did not take a USD file ({fault}); the folder must have room and take "
-            "files; make room, or give another --out"
+            f"{path.parent} did not take a USD file ({reason(error)}); the folder must have room "
+            "and take files; make room, or give another --out"
         ) from None
 
 

@@ -265,7 +265,7 @@ UNKNOWN = {
         "the capture a/point_cloud.ply in it.*unpack the zip",
     ),
     "pointer": (b"version https://git-lfs.github.com/spec/v1\noid sha256:12\n", "git lfs pull"),
-    "usd": (b"PXR-USDC" + bytes(80), "it is a USD stage"),
+    "usd": (b"PXR-USDC" + bytes(80), "its name must end in .usd"),
     "unpacked spz": (__import__("gzip").decompress(made.spz(made.tame_splats(9))), "unpacked"),
     "other zip": (made.bundle({"a.txt": b"hello"}), "0 meta.json"),
     "other gzip": (__import__("gzip").compress(b"hello" * 9), "gzip but not SPZ"),

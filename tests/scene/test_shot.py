@@ -330,6 +330,9 @@ def test_render_settings_give_size_and_shape(policy, focal_x, focal_y, tmp_path)
     assert (camera.fx, camera.fy) == pytest.approx((focal_x, focal_y), rel=1e-6)
 
 
+UNEVEN = "((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 5))"
+RENDERED = 'def RenderSettings "R"\n{{\nuniform {}\n}}\n'.format
+SET = {"head": 'renderSettingsPrimPath = "/R"'}
 PLACED = 'uniform token[] xformOpOrder = ["xformOp:{0}"]\n{1} xformOp:{0} = {2}'.format
 
 
@@ -344,12 +347,22 @@ PLACED = 'uniform token[] xformOpOrder = ["xformOp:{0}"]\n{1} xformOp:{0} = {2}'
         (usd_camera(PLACED("scale", "float3", "(-1, 1, 1)")), {}, "without scale or mirroring"),
         (usd_camera(PLACED("scale", "float3", "(0, 1, 1)")), {}, "scales above 0"),
         (usd_camera(PLACED("translate", "double3", "(nan, 1, 1)")), {}, "finite numbers"),
+        (usd_camera(PLACED("translate", "token", '"a"')), {}, "cannot be read as USD"),
+        (usd_camera(PLACED("translate", "float", "3")), {}, "cannot be read as USD"),
+        (usd_camera(PLACED("rotateX", "float3", "(1, 2, 3)")), {}, "cannot be read as USD"),
+        (usd_camera(PLACED("nothing", "float3", "(1, 2, 3)")), {}, "cannot be read as USD"),
+        (usd_camera(PLACED("orient", "float4", "(1, 0, 0, 0)")), {}, "orient is a Vec4f; it must"),
+        (usd_camera(PLACED("transform", "matrix4d", UNEVEN)), {}, "a rotation, a translation"),
+        (usd_camera('uniform token xformOpOrder = "a"'), {}, "xformOpOrder is a str; it must"),
+        (usd_camera('string focalLength = "a"'), {}, "focalLength is a str; it must be a float"),
+        (usd_camera("") + RENDERED("float resolution = 3"), SET, "cannot be read as USD"),
+        (usd_camera("") + RENDERED('string pixelAspectRatio = "a"'), SET, "cannot be read as USD"),
         (usd_camera(""), {"up": "X"}, "up axis X; it must be Y or Z"),
         (usd_camera(""), {"meters": 0}, "0 metres per unit"),
         (usd_camera(""), {"head": "timeCodesPerSecond = 0"}, "timeCodesPerSecond is 0"),
         (usd_camera(""), {"head": "startTimeCode = 9\nendTimeCode = 1"}, "frames from 9 to 1"),
         (usd_camera(""), {"head": "startTimeCode = 0\nendTimeCode = 1e12"}, "must be 1 to 100000"),
-        ("def Cam", {}, "cannot be opened as USD"),
+        ("def Cam", {}, "cannot be read as USD"),
     ],
 )
 def test_broken_usd_ends_in_one_line(inside, settings, message, tmp_path, capfd):

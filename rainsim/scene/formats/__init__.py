@@ -8,9 +8,11 @@
 | SPZ versions 2 to 4 | gzip, or `NGSP` | `rainsim[formats]` |
 | SOG, one file or a folder of pictures | zip, or `meta.json` | `rainsim[formats]` |
 | binary glTF with KHR_gaussian_splatting | `glTF` | nothing |
+| USD with ParticleField3DGaussianSplat | `PXR-USDC`, `#usda`, zip | `rainsim[usd]` |
 
 All readers return `Splats` in the frame that the capture tool used. SPZ stores other axes (right,
-up, back) and glTF y up, so their splats are rotated.
+up, back) and glTF y up, so their splats are rotated. A USD stage says where up is and how long its
+unit is; its splats are in metres with z up.
 """
 
 from __future__ import annotations
@@ -27,14 +29,16 @@ from rainsim.scene.types import Splats
 SUFFIXES = (".ply", ".splat", ".spz", ".sog", ".glb")  # usual names, for listing folders only
 META = "meta.json"  # of an unbundled SOG
 START = 1 << 17  # bytes at the beginning of a file by which its format is recognised
-REMEDY = "export the capture as a splat PLY, compressed PLY, SPZ, SOG, .glb or .splat"
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")  # by which its library goes
+# A note on a stage that names both.
+LEVEL = "the stage says its up axis and unit: splats are in metres with z up"
+USD_STARTS = (b"PXR-USDC", b"#usda")
+REMEDY = "export the capture as a splat PLY, compressed PLY, SPZ, SOG, .glb, .splat or USD"
 HINTS = {
     b"\x89PNG": " (it is a picture)",
     b"\xff\xd8\xff": " (it is a picture)",
     b"RIFF": " (it is a picture or sound; of a SOG name its meta.json)",
     b"version https://git-lfs": " (it is a pointer of Git LFS: `git lfs pull` gets the file)",
-    b"PXR-USDC": " (it is a USD stage)",
-    b"#usda": " (it is a USD stage)",
 }
 
 
@@ -147,10 +151,14 @@ def sha256_of(path):
 
 
 def source_files(path):
-    """Return the files that a splat file consists of: itself, or all of an unbundled SOG."""
+    """Return the files that a splat file consists of: itself, all of a stage or unbundled SOG."""
     path = Path(path)
     if path.name == META:
         return [path, *sorted(path.parent.glob("*.webp"))]
+    if path.suffix.lower() in USD_SUFFIXES:
+        from rainsim.scene.formats.usd import files_of
+
+        return files_of(path)
     return [path]
 
 
@@ -158,6 +166,10 @@ def _reader_of(path, start, file):
     """Return the format's name and its reader, a function of the path and the broken share."""
     if start.startswith((b"ply\n", b"ply\r")):
         return _ply_reader(path, file)
+    if start.startswith(USD_STARTS) or path.suffix.lower() in USD_SUFFIXES:
+        from rainsim.scene.formats.usd import read_usd_splats
+
+        return "USD", read_usd_splats
     if start.startswith((b"PK\x03\x04", b"PK\x05\x06")):
         if b"/data.pkl" in start[:300]:  # the first name in the archive
             raise InputError(

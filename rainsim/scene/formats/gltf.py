@@ -290,7 +290,7 @@ def _read(model, primitive, place, logarithms):
         return values_of(model, attributes[name], count, width)
 
     matrix = HALF_TURN @ place[:3, :3]
-    rotation, scales = _decomposed(model, matrix)
+    rotation, scales = decomposed(matrix, model.wrong)
     harmonics = [values(PREFIX + "SH_DEGREE_0_COEF_0", 3)]
     for degree, number in COEFFICIENTS.items():
         names = [f"{PREFIX}SH_DEGREE_{degree}_COEF_{k}" for k in range(number)]
@@ -302,7 +302,7 @@ def _read(model, primitive, place, logarithms):
         position = values("POSITION", 3) @ matrix.T + HALF_TURN @ place[:3, 3]
         turn = np.roll(values(PREFIX + "ROTATION", 4), 1, axis=1)  # w first
         scale = values(PREFIX + "SCALE", 3)
-        turn, scale = _placed(turn, np.exp(scale) if logarithms else scale, rotation, scales)
+        turn, scale = placed(turn, np.exp(scale) if logarithms else scale, rotation, scales)
         opacity = values(PREFIX + "OPACITY", 1)[:, 0].astype(np.float64)
         logit = np.log(opacity) - np.log1p(-opacity)
         return activate(
@@ -311,18 +311,21 @@ def _read(model, primitive, place, logarithms):
         )  # fmt: skip
 
 
-def _decomposed(model, matrix):
-    """Return the rotation and the scales of a matrix (3, 3) that is a product of the two."""
+def decomposed(matrix, wrong):
+    """Return the rotation and the scales of a matrix (3, 3) that is a product of the two.
+
+    `wrong` makes the InputError for a text about a node of the file.
+    """
     scales = np.linalg.norm(matrix, axis=0)
     if not (np.isfinite(scales) & (scales > 0) & (scales < MAX_LENGTH)).all():
-        raise model.wrong(f"a node scales by {shown(scales.tolist())}")
+        raise wrong(f"a node scales by {shown(scales.tolist())}")
     rotation = matrix / scales
     if abs(np.linalg.det(rotation) - 1) > SKEWED:
-        raise model.wrong("a node mirrors or shears; it must turn, move and scale")
+        raise wrong("a node mirrors or shears; it must turn, move and scale")
     return rotation, scales
 
 
-def _placed(turn, scale, rotation, scales):
+def placed(turn, scale, rotation, scales):
     """Return the quaternions and scales of splats that a node turns and scales.
 
     Where the node's scales differ the axes of a splat's ellipsoid are no longer what its own were:
