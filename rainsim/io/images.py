@@ -24,7 +24,7 @@ from rainsim.io.png import write_png_file
 
 VERSION = 1  # of files of float pictures
 PREVIEW_WIDTH = 480  # px at most
-PREVIEW_FRAMES = 240  # at most; a longer film's preview skips frames
+PREVIEW_FRAMES = 60  # at most; a longer film's preview skips frames
 PREVIEW_QUALITY = 75
 MOST_PIXELS = 2**27  # of a picture
 MOST_PIXELS_PER_BYTE = 10_000  # even zstd packs equal pixels no tighter
