@@ -144,8 +144,10 @@ def _header_number(path, number, line, value):
     try:
         found = float(value[0])
     except (ValueError, IndexError):
-        comma = "; write it with a point" if "," in line else ""
-        raise InputError(f"line {number + 1} of {path} has no number: {line!r}{comma}") from None
+        remedy = "write it with a point" if "," in line else "correct it"
+        raise InputError(
+            f"line {number + 1} of {path} has no number: {line!r}; it must; {remedy}"
+        ) from None
     if not abs(found) < MAX_LENGTH and line.split()[0].lower() != "nodata_value":  # true for NaN
         raise InputError(
             f"line {number + 1} of {path} is {line!r}; the number must be below {MAX_LENGTH:g}; "

@@ -125,7 +125,7 @@ def _moved(model, chain):
         for channel in model.indices(animation, "channels"):
             target = channel.get("target") if isinstance(channel, dict) else None
             key = target.get("path") if isinstance(target, dict) else None
-            if key not in WIDTHS or target.get("node") not in chain:
+            if not isinstance(key, str) or key not in WIDTHS or target.get("node") not in chain:
                 continue
             if key in found.get(target["node"], {}):
                 continue

@@ -81,7 +81,10 @@ def require_types(path, prim):
 
 def reason(error):
     """Return why the library failed, as its exception has it."""
-    found = re.search(r" : '(.*)'", str(error))
+    try:
+        found = re.search(r" : '(.*)'", str(error))
+    except UnicodeDecodeError:  # it quotes a file whose bytes are no text
+        return "bytes that are no text"
     return found[1] if found else type(error).__name__
 
 

@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 import test_formats_fuzz as formats
 import test_own_files as own
+from test_shot import gltf, usd_camera, usda
 
 import made_formats as made
 import mutate
@@ -34,14 +35,17 @@ from rainsim.config.settings import Config
 from rainsim.datasets.user_labels import _from_file as label_ids
 from rainsim.errors import InputError, RainsimError
 from rainsim.io.images import read_hdr
+from rainsim.io.rasters import read_raster
 from rainsim.scene.camera_rule import require_camera
 from rainsim.scene.cameras import load_cameras, read_path
 from rainsim.scene.formats import read
+from rainsim.scene.shot import read_shot
 from rainsim.sensors.lens_files import lens_named
 from rainsim.terrain.classify import read_mask
 from rainsim.terrain.surface import _from_tiff as read_tiff
 from rainsim.terrain.surface import _read_obj, _read_ply
 from rainsim.terrain.table import class_table
+from rainsim.water.series import read_series
 from refusals import one_clear_line
 
 QUICK, CAMPAIGN = 100, 5_000  # of each kind
@@ -258,7 +262,76 @@ def read_moving(path):
         assert np.isfinite(actor.track.pose(0.7).rotation).all()
 
 
+def make_gltf(folder):
+    gltf(folder / "a.gltf")
+    return folder / "a.gltf"
+
+
+def make_glb(folder):
+    gltf(folder / "a.glb")
+    return folder / "a.glb"
+
+
+def make_usd_camera(folder):
+    order = 'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]'
+    places = "double3 xformOp:translate.timeSamples = {1: (0, 1, 2), 5: (1, 1, 2)}"
+    turn = "float3 xformOp:rotateXYZ = (80, 0, 10)\nfloat focalLength = 35"
+    camera = usd_camera(f"{places}\n{turn}\n{order}")
+    return usda(folder / "a.usda", f'def Xform "Rig"\n{{\n{camera}}}\n')
+
+
+def make_usd_splats(folder):
+    rng = np.random.default_rng(5)
+
+    def rows(*shape):
+        return repr([tuple(row) for row in rng.uniform(0.1, 1, shape).round(3).tolist()])
+
+    lines = [
+        f"point3f[] positions = {rows(20, 3)}", f"quatf[] orientations = {rows(20, 4)}",
+        f"float3[] scales = {rows(20, 3)}",
+        f"float[] opacities = {rng.uniform(0.1, 1, 20).round(3).tolist()}",
+        "uniform int radiance:sphericalHarmonicsDegree = 0",
+        f"float3[] radiance:sphericalHarmonicsCoefficients = {rows(20, 3)}",
+    ]  # fmt: skip
+    inside = "\n".join(lines)
+    return usda(folder / "a.usda", f'def ParticleField3DGaussianSplat "S"\n{{\n{inside}\n}}\n')
+
+
+def read_camera_of_shot(path):
+    for camera in read_shot(path).cameras:
+        require_camera(camera, "it")
+
+
+def table():
+    return b'time_s,rain,other\n0,1.5,2\n60,3e-1,4\n120,0,-5\n"180",2,1\n'
+
+
+def read_table(path):
+    assert np.isfinite(read_series(path).values).all()
+
+
+def grid():
+    rows = "\n".join(" ".join(f"{x * y / 7:.3f}" for x in range(9)) for y in range(8))
+    head = "ncols 9\nnrows 8\nxllcorner 5.5\nyllcorner -3\ncellsize 0.5\nNODATA_value -9999\n"
+    return (head + rows + "\n").encode()
+
+
+def read_grid(path):
+    assert read_raster(path).values.size <= 1e8
+
+
+USD_KINDS = "USD camera", "USD splats"
 KINDS = {
+    "glTF camera": Kind(
+        "", content_of(make_gltf), damaged_among(mutate.valued), read_camera_of_shot
+    ),
+    "glb camera": Kind("", content_of(make_glb), damaged_among(mutate.plain), read_camera_of_shot),
+    "USD camera": Kind(
+        "", content_of(make_usd_camera), damaged_among(mutate.plain), read_camera_of_shot
+    ),
+    "USD splats": Kind("", content_of(make_usd_splats), damaged_among(mutate.plain), read_splats),
+    "series": Kind("a.csv", table, mutate.plain, read_table),
+    "grid": Kind("a.asc", grid, mutate.plain, read_grid),
     "labels": Kind("a.npy", labels, mutate.plain, lambda path: label_ids(path, 40)),
     "lens": Kind("transforms.json", as_json(LENS), mutate.valued, lambda p: lens_named(str(p))),
     "camera path": Kind("path.json", as_json(PATH), mutate.valued, read_camera_path),
@@ -333,6 +406,8 @@ def late():
 
 
 def needs_extra(name):
+    if name in USD_KINDS:
+        pytest.importorskip("pxr")
     if name in formats.NEED_EXTRA:
         for module in ("gsply", "imagecodecs", "zstandard"):
             pytest.importorskip(module)
