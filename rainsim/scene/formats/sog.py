@@ -213,7 +213,7 @@ def _parse(path, data):
         meta = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError):
         raise InputError(f"{path}: meta.json is not valid JSON; {REMEDY}") from None
-    if isinstance(meta, dict) and "asset" in meta:
+    if isinstance(meta, dict) and "asset" in meta and "means" not in meta:
         raise InputError(f"{path} is a glTF in text; export it as binary glTF, .glb")
     if not isinstance(meta, dict) or "means" not in meta:
         raise InputError(
