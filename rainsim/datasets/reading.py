@@ -166,7 +166,7 @@ def read_turn(folder, rate, lidar, number):
     place = require_file(beside / lidar / f"{number:06d}.bin", "points")
     points = np.fromfile(place, "<f4").reshape(-1, 4)[:, :3]
     turn = np.array(_about(beside.parent, f"{lidar}_{number:06d}")["ground_from_sensor"])
-    labels = np.fromfile(place.with_suffix(".label"), "<u4")
+    labels = np.fromfile(require_file(place.with_suffix(".label"), "labels"), "<u4")
     return points @ turn[:3, :3].T + turn[:3, 3], labels
 
 

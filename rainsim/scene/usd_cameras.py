@@ -15,7 +15,7 @@ from rainsim.scene.shot_camera import (
     frame_times,
     require_chosen,
 )
-from rainsim.scene.usd_guard import opened, require_types
+from rainsim.scene.usd_guard import apart, opened, require_types
 
 INSTALL = 'pip install "rainsim[usd]"'
 
@@ -37,11 +37,15 @@ def read_usd(path, name=None):
     """
     require_file(path, "a USD file")
     require_usd(f"{path} is USD; reading it")
+    return apart(_read, path, name)
+
+
+def _read(path, name):
     with opened(path) as (stage, _):
-        return _read(path, stage, name)
+        return _cameras(path, stage, name)
 
 
-def _read(path, stage, name):
+def _cameras(path, stage, name):
     from pxr import Usd, UsdGeom
 
     prims = [

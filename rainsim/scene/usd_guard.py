@@ -1,13 +1,17 @@
 """What a USD file may make its library do: which files it opens, how deep and how large it is.
 
 The library follows every name in a file, devices and pipes too, nests as deep as its stack lasts,
-and composes references of references into any number of prims. All of it is looked at first.
+composes references of references into any number of prims, and takes memory for whatever counts a
+damaged file has. So names and prims are looked at first, in a process of its own that may end.
 """
 
 from __future__ import annotations
 
+import os
+import pickle
 import re
-import zipfile
+import subprocess
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,32 +19,87 @@ from rainsim.errors import InputError, RainsimError
 from rainsim.io.files import require_file
 
 MOST_FILES, MOST_BYTES = 10_000, 1 << 32  # of a stage in all; a film's shot has some hundred MB
-MOST_TEXT = 1 << 28  # bytes of one file that is text
-MOST_DEPTH = 200  # prims or brackets within each other; stages of films have some 20
-MOST_PRIMS = 300_000  # some 700 MB
+MOST_DEPTH = 200  # prims within each other; stages of films have some 20
+MOST_PRIMS, PRIM_BYTES = 300_000, 3_000  # of a stage with all references; of memory for each
+FREE_BYTES, TIMES = 200_000_000, 16  # of memory; times the size of files that is taken beyond
+PATIENCE, SPEED = 60.0, 1e6  # s for a small stage; bytes/s of a large one
 CAMERA_ALONE = "export the camera alone"
 TYPED = ("xformOp", "focalLength", "horizontalAperture", "verticalAperture")  # as names begin
-TEXT, ZIP = b"#", b"PK\x03\x04"  # as files begin; others are binary
-STEPS = {b"[": 1, b"(": 1, b"{": 1, b"]": -1, b")": -1, b"}": -1}
-# Text within quotes, asset names and comments hold no brackets that count. What is not closed goes
-# on to the end, so that no part is looked at twice.
-TOKENS = re.compile(
-    rb'"""(?:[^"\\]|\\.|"(?!""))*(?:""")?|"(?:[^"\\\n]|\\.)*"?'
-    rb"|'''(?:[^'\\]|\\.|'(?!''))*(?:''')?|'(?:[^'\\\n]|\\.)*'?"
-    rb"|//[^\n]*|/\*.*?(?:\*/|\Z)|@@@.*?(?:@@@|\Z)|@[^@\n]*@?|#[^\n]*|[][(){}]",
-    re.DOTALL,
-)
+CHILD = "from rainsim.scene.usd_guard import serve; serve()"
+_start = None  # bytes of this process before it reads, where it may take no more than it should
+
+
+def apart(function, path, *given):
+    """Return `function(path, *given)`, called in a process of its own, bounded in memory and time.
+
+    InputError where that process does not come back: the library has run out of stack or bounds.
+    """
+    paths = os.pathsep.join(filter(None, sys.path))
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", CHILD], input=pickle.dumps((function, path, given)),
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            timeout=PATIENCE + require_file(path, "a USD file").stat().st_size / SPEED,
+            env=os.environ | {"PYTHONPATH": paths, "PXR_WORK_THREAD_LIMIT": "1"},
+        )  # fmt: skip
+        found = pickle.loads(done.stdout) if done.returncode == 0 else None
+    except subprocess.TimeoutExpired:
+        found = None
+    if found is None:
+        raise InputError(
+            f"{path} cannot be read as USD: OpenUSD breaks off, or takes too much memory or time; "
+            f"it must be whole and nest at most {MOST_DEPTH} levels; export it again"
+        )
+    if isinstance(found, Exception):
+        raise found
+    return found
+
+
+def serve():
+    """Do in the process that `apart` has started what it was started for."""
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what the library prints is no answer
+    function, *given = pickle.load(sys.stdin.buffer)
+    watch_memory()
+    try:
+        found = function(given[0], *given[1])
+    except (RainsimError, OSError) as error:
+        found = error
+    pickle.dump(found, out, 5)
+    out.close()
+
+
+def watch_memory():
+    """Let this process take memory in proportion to the files that it opens, where Linux has it."""
+    global _start
+    from pxr import Gf, Pcp, Sdf, Usd, UsdGeom, UsdRender, UsdVol, Vt  # noqa: F401  (it counts)
+
+    stage = Usd.Stage.CreateInMemory()
+    camera = UsdGeom.Camera.Define(stage, "/Camera")
+    camera.GetCamera(Usd.TimeCode.Default())  # which takes 400 MB of addresses, once
+    try:
+        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[0]
+        _start = int(pages) * os.sysconf("SC_PAGESIZE")
+    except OSError:
+        return
+
+
+def _allow(size, prims):
+    if _start is not None:
+        import resource
+
+        limit = _start + FREE_BYTES + TIMES * size + PRIM_BYTES * prims
+        resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
 @contextmanager
 def opened(path):
     """Yield the stage at `path`, checked, and the bytes of all of its files.
 
-    Whatever the library cannot use of it while it is open is said in one line, its warnings not.
+    Whatever the library cannot use of it while it is open is said in one line.
     """
-    from pxr import Usd, UsdUtils
+    from pxr import Usd
 
-    quiet = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         root, files = require_tame(path)
         yield Usd.Stage.Open(root), sum(file.stat().st_size for file in files)
@@ -51,8 +110,6 @@ def opened(path):
             f"{path} cannot be read as USD ({reason(error)}); its values must be of USD's types "
             "and its files whole; export it again"
         ) from None
-    finally:
-        del quiet
 
 
 def require_types(path, prim):
@@ -103,11 +160,12 @@ def require_tame(path):
         if name in files:
             continue
         files[name] = Path(file)
-        size += checked_size(path, file)
+        size += require_file(file, "each file that a USD stage names").stat().st_size
         if len(files) > MOST_FILES or size > MOST_BYTES:
             raise InputError(
                 f"{path} needs more than {MOST_FILES} files or {MOST_BYTES} bytes; {CAMERA_ALONE}"
             )
+        _allow(size, 0)
         try:
             layer = Sdf.Layer.FindOrOpen(name)
         except Tf.ErrorException:
@@ -126,49 +184,8 @@ def require_tame(path):
                 todo.append(found)
     if root is None:
         raise InputError(f"{path} cannot be opened as USD; export it again")
-    _check_composed(path, root)
+    _check_composed(path, root, size)
     return root, list(dict.fromkeys(files.values()))
-
-
-def checked_size(path, file):
-    """Return the bytes of a regular file, checked for brackets that are nested without end.
-
-    `path` is the stage that names it.
-    """
-    size = require_file(file, "each file that a USD stage names").stat().st_size
-    with open(file, "rb") as opened:
-        start = opened.read(len(ZIP))
-    if start == ZIP:
-        _check_package(path, file, size)
-    elif start.startswith(TEXT):
-        with open(file, "rb") as opened:
-            _check_text(path, file, size, opened.read(MOST_TEXT))
-    return size
-
-
-def _check_package(path, file, size):
-    """Check the texts in a .usdz, whose members lie in it as they are."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            for info in archive.infolist():
-                if info.compress_type != zipfile.ZIP_STORED or info.file_size > size:
-                    raise InputError(f"{file} is packed; a .usdz must not be; {CAMERA_ALONE}")
-                with archive.open(info) as member:
-                    if member.read(len(TEXT)) == TEXT:
-                        _check_text(path, file, info.file_size, TEXT + member.read(MOST_TEXT))
-    except (zipfile.BadZipFile, NotImplementedError, OSError, RuntimeError):
-        raise InputError(f"{file} cannot be opened as .usdz; export it again") from None
-
-
-def _check_text(path, file, size, text):
-    """Raise InputError if a text of `size` bytes in a file is too long or nested too deep."""
-    if size > MOST_TEXT:
-        raise InputError(f"{file} has {size} bytes of text, beyond {MOST_TEXT}; {CAMERA_ALONE}")
-    depth = 0
-    for token in TOKENS.finditer(text):
-        depth += STEPS.get(token[0], 0)
-        if depth > MOST_DEPTH:
-            raise _too_deep(path)
 
 
 def _check_specs(path, layer):
@@ -189,7 +206,7 @@ def _check_specs(path, layer):
                 todo += [variant.primSpec for variant in kinds.variants.values()]
 
 
-def _check_composed(path, root):
+def _check_composed(path, root, size):
     """Raise InputError if references make too deep or too many prims of a stage."""
     from pxr import Pcp, Sdf
 
@@ -202,6 +219,8 @@ def _check_composed(path, root):
             raise _too_deep(path)
         if count > MOST_PRIMS:
             raise _too_many(path)
+        if count % 1000 == 1:
+            _allow(size, count + 1000)
         index, _ = cache.ComputePrimIndex(prim)
         children = [prim.AppendChild(name) for name in index.ComputePrimChildNames()[0]]
         cache.RequestPayloads(children, [])

@@ -9,7 +9,7 @@ import made_formats as made
 from made_captures import random_splats
 from rainsim.errors import InputError
 from rainsim.scene.folder import import_scene
-from rainsim.scene.formats import read, sha256_of
+from rainsim.scene.formats import read, sha256_of, usd
 from rainsim.scene.types import GroundFrame, Scene
 from rainsim.world.usd_files import Clock, capture_layer
 from scenes import tiny_scene
@@ -19,6 +19,12 @@ SPLATS = made.tame_splats(40, 9)
 SAYS = 'upAxis = "{}"\nmetersPerUnit = {}'.format
 TURN = Rotation.from_euler("xyz", (20, -50, 80), degrees=True).as_matrix()
 FRAME = GroundFrame(TURN, 0.37, np.array([1.0, 2.0, 3.0]))
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch):
+    """Read USD here: half a second a file is saved."""
+    monkeypatch.setattr(usd, "apart", lambda function, *given: function(*given))
 
 
 def stage(path, inside, head=""):
@@ -48,7 +54,8 @@ def check_placed(found, stored, matrix, rotation, tolerance=1e-5):
     np.testing.assert_allclose(found.opacity, stored.opacity, atol=tolerance)
 
 
-def test_what_world_writes_comes_back(tmp_path):
+def test_what_world_writes_comes_back(tmp_path, monkeypatch):
+    monkeypatch.undo()  # in a process of its own, as for users
     scene = Scene("a", random_splats(500, 16, 3), (), FRAME)
     capture_layer(scene, Clock(0, 0, 24.0)).write(tmp_path / "capture.usdc")
     found = read(tmp_path / "capture.usdc")
@@ -135,12 +142,18 @@ def test_all_files_of_a_stage_are_hashed(tmp_path):
          "xformOp:translate is a str; it must be a|cannot be read as USD"),
     ],
 )  # fmt: skip
-def test_broken_splats_end_in_one_line(tmp_path, capfd, changed, lines, message):
+def test_broken_splats_end_in_one_line(tmp_path, changed, lines, message):
     path = stage(tmp_path / "a.usda", made.usda_splats(SPLATS, lines=lines, **changed))
     with pytest.raises(InputError, match=message) as error:
         read(path)
     assert "\n" not in str(error.value) and str(path) in str(error.value)
-    assert capfd.readouterr() == ("", "")
+
+
+def test_bytes_that_are_no_text_end_in_one_line(tmp_path):
+    path = stage(tmp_path / "a.usda", made.usda_splats(SPLATS))
+    path.write_bytes(path.read_bytes().replace(b"point3f[]", b"\xff\xceint3f[]"))
+    with pytest.raises(InputError, match="cannot be read as USD"):
+        read(path)
 
 
 def test_a_stage_without_splats_and_what_is_no_stage(tmp_path):

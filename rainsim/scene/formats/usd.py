@@ -17,7 +17,7 @@ from rainsim.scene.harmonics import turned
 from rainsim.scene.shot_camera import Z_UP
 from rainsim.scene.splat_sets import joined
 from rainsim.scene.usd_cameras import require_usd, world_of
-from rainsim.scene.usd_guard import opened, require_tame, require_types
+from rainsim.scene.usd_guard import apart, opened, require_tame, require_types
 
 TYPE = "ParticleField3DGaussianSplat"
 # Of each attribute the classes of its values; those of half precision have a name that ends in h.
@@ -39,6 +39,10 @@ def read_usd_splats(path, max_broken):
             f"{path} is USD; its name must end in {', '.join(USD_SUFFIXES)}; rename it"
         )
     require_usd(f"{path} is USD; reading it")
+    return apart(_read_stage, path, max_broken)
+
+
+def _read_stage(path, max_broken):
     with opened(path) as (stage, size):
         world = world_of(stage, path)
         prims = _prims(stage)
@@ -62,6 +66,10 @@ def read_usd_splats(path, max_broken):
 def files_of(path):
     """Return the files of the stage at `path`."""
     require_usd(f"{path} is USD; reading it")
+    return apart(_files_of, path)
+
+
+def _files_of(path):
     return require_tame(path)[1]
 
 
