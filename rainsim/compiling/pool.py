@@ -44,6 +44,11 @@ def processes(most=None):
     return count if memory is None else max(min(count, memory // BYTES_OF_A_PROCESS), 1)
 
 
+def child_environment():
+    """Return the environment in which a Python process, started with -P, imports as this one."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+
+
 def free_memory():
     """Return the bytes that processes may take without swapping, None if that is unknown."""
     found = [_available(), _left_to_this_container()]
@@ -113,8 +118,7 @@ class Pool:
         self._changed = threading.Condition()
         self._progress = progress or (lambda share, done, total, count: None)
         self._closed = False
-        paths = os.pathsep.join(filter(None, sys.path))
-        self._environment = os.environ | {"PYTHONPATH": paths} | (environment or {})
+        self._environment = child_environment() | (environment or {})
         self.count = min(count, len(self._jobs))
         self.compiled, self.seconds, self.stale = 0, 0.0, []
         self._processes = [self._start() for _ in range(self.count)]

@@ -15,6 +15,7 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
+from rainsim.compiling.pool import child_environment
 from rainsim.errors import InputError, RainsimError
 from rainsim.io.files import require_file
 
@@ -34,13 +35,12 @@ def apart(function, path, *given):
 
     InputError where that process does not come back: the library has run out of stack or bounds.
     """
-    paths = os.pathsep.join(filter(None, sys.path))
     try:
         done = subprocess.run(
-            [sys.executable, "-c", CHILD], input=pickle.dumps((function, path, given)),
+            [sys.executable, "-P", "-c", CHILD], input=pickle.dumps((function, path, given)),
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             timeout=PATIENCE + require_file(path, "a USD file").stat().st_size / SPEED,
-            env=os.environ | {"PYTHONPATH": paths, "PXR_WORK_THREAD_LIMIT": "1"},
+            env=child_environment() | {"PXR_WORK_THREAD_LIMIT": "1"},
         )  # fmt: skip
         found = pickle.loads(done.stdout) if done.returncode == 0 else None
     except subprocess.TimeoutExpired:

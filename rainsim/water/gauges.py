@@ -111,10 +111,10 @@ class Gauges:
         # A run that was killed at the time of a reading has a state of it, but no reading yet.
         for n in range(max(math.ceil((solver.time - begin) / period - 1e-9), 1), count + 1):
             stop = end if n == count else begin + n * period
-            if stop > solver.time:
+            reached = stop - 1e-9 * max(abs(stop), 1.0)  # times from which on it counts as such
+            if solver.time < reached:
                 report = solver.advance(stop - solver.time, rain, progress and told)
-            reached = solver.time >= stop - 1e-9 * max(abs(stop), 1.0)
-            if reached and not self._has_read(solver.time):
+            if solver.time >= reached and not self._has_read(solver.time):
                 self.read()
             if not goes_on:
                 break
