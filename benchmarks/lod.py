@@ -27,6 +27,7 @@ from rainsim.lod.cut import cut
 from rainsim.render.renderer import Renderer
 from rainsim.scene.big import open_pages
 from rainsim.scene.cameras import resize_to
+from rainsim.scene.formats.extra import load_extra
 from rainsim.scene.harmonics import BANDS, turned
 from rainsim.scene.library import load_scene
 from rainsim.scene.splat_sets import joined, own_turns
@@ -94,6 +95,7 @@ def run(quick=False, say=quiet, length=None, folder=None, whole=False):
 
 def make(folder, length):
     """Cut a street of a length [m] into chunks in a folder; return its splats and the seconds."""
+    load_extra(folder, "a street in chunks (SOG)", "imagecodecs")
     begin = time.perf_counter()
     counts = cut(folder, lambda: street_blocks(length))
     return {"splats": counts[0], "seconds": time.perf_counter() - begin}

@@ -81,11 +81,13 @@ def cut_to_scene(job, file, model):
     from rainsim.scene.cameras import cameras_to_data, load_cameras
     from rainsim.scene.folder import cameras_beside
     from rainsim.scene.formats import splat_blocks, trained_antialiased
+    from rainsim.scene.formats.extra import load_extra
     from rainsim.scene.origin import near_origin, origin_note
     from rainsim.scene.photographs import with_photographs
     from rainsim.scene.ply import origin_of
 
     out, given = job.out, {name: job.given[name] for name in job.given if name != "threads"}
+    load_extra(out, "a set of chunks (SOG)", "imagecodecs")  # before the cut, which takes minutes
     cameras = given["cameras"]
     cameras, notes = load_cameras(cameras) if cameras else cameras_beside(file, model)
     origin = origin_of(file)

@@ -11,6 +11,7 @@ import numpy as np
 from rainsim import __version__
 from rainsim.compiling import shipped
 from rainsim.compiling.folder import LOST, NAME, REFUSED
+from rainsim.compiling.pool import cores
 from rainsim.compiling.start import not_shipped
 from rainsim.io import cache as results
 from rainsim.io.fingerprint import versions
@@ -35,10 +36,8 @@ def report():
     wrong = []
     _use_threads(np.empty(64))
     layer, threads = threading_layer()
-    if threads == 1 and (os.cpu_count() or 1) > 1:
-        wrong.append(
-            f"one thread of {os.cpu_count()} cores is used; unset NUMBA_NUM_THREADS or raise it"
-        )
+    if threads == 1 < cores():
+        wrong.append(f"one thread of {cores()} cores is used; unset NUMBA_NUM_THREADS or raise it")
     memory = _memory()
     if memory["total"] and memory["total"] < LEAST_MEMORY:
         wrong.append(
@@ -67,7 +66,7 @@ def report():
         )
     return {
         "versions": {"rainsim": __version__, **versions((*PACKAGES, *OPTIONAL))},
-        "threads": {"number": threads, "cores": os.cpu_count(), "layer": layer},
+        "threads": {"number": threads, "cores": cores(), "layer": layer},
         "backends": {"cpu": {"ready": True, "name": _processor()}, "cuda": _cuda()},
         "memory": memory, "cache": cache, "kernels": kernels, "results": results.summary(),
         "wrong": wrong,

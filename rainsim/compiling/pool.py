@@ -26,6 +26,14 @@ TICK = 0.5  # s between reports of progress
 NEARLY = 0.95  # of a kernel's weight: a running one counts as no more
 
 
+def cores():
+    """Return how many cores this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        return os.cpu_count() or 1
+
+
 def processes(most=None):
     """Return how many processes may compile.
 
@@ -35,11 +43,7 @@ def processes(most=None):
     given = os.environ.get(VARIABLE, "")
     if given.isdecimal():
         return max(int(given), 1)
-    try:
-        cores = len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
-        cores = os.cpu_count() or 1
-    count = min(cores, most or cores)
+    count = min(cores(), most or cores())
     memory = free_memory()
     return count if memory is None else max(min(count, memory // BYTES_OF_A_PROCESS), 1)
 

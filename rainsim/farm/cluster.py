@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from rainsim import __version__
+from rainsim.compiling.pool import cores
 from rainsim.errors import BackendError, RainsimError, one_line
 from rainsim.farm.shared_run import SharedRun
 from rainsim.io.fingerprint import versions
@@ -66,7 +67,7 @@ def client_of(address=None, workers=1, backend="cpu", threads=None):
         with _connected(distributed, address) as client:
             yield client
         return
-    each = max((threads or os.cpu_count() or 1) // workers, 1)
+    each = max((threads or cores()) // workers, 1)
     quiet = {"host": HERE, "dashboard_address": f"{HERE}:0"}
     nannies = {
         n: {"cls": distributed.Nanny, "options": {
@@ -156,7 +157,7 @@ def draw_part(sequence, run, first, end, threads, workers):
     """
     from rainsim.jit import set_threads
 
-    set_threads(threads or max((os.cpu_count() or 1) // workers[platform.node()], 1))
+    set_threads(threads or max(cores() // workers[platform.node()], 1))
     folder, record, cameras, config, video = run
     part = replace(config, frame_range=(first, end))
     SharedRun(folder, record, cameras, part, video, resume=True).draw(sequence)

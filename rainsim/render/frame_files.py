@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
+from rainsim.compiling.pool import cores
 from rainsim.io.files import write_json
 from rainsim.render.report import FrameReport
 
 FRAME = "frames/{:05d}.png"
 VERSION = 1  # of layers/NNNNN.json
-WRITERS = min(max((os.cpu_count() or 1) - 1, 1), 8)  # pictures encoded at a time
+WRITERS = min(max(cores() - 1, 1), 8)  # pictures encoded at a time
 
 
 class FrameWriter:

@@ -1,6 +1,7 @@
 """`rainsim import --lod` and what runs on its chunks, as a user calls them."""
 
 import json
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -61,6 +62,15 @@ def test_what_cannot_be_cut_or_drawn_is_refused_in_one_line(rainsim, model, tmp_
         assert "Traceback" not in done.err and done.err.count("Error:") == 1, done.err
     now = {p: p.read_bytes() for p in Path(tmp_path / "scene").rglob("*") if p.is_file()}
     assert now == before
+
+
+def test_a_missing_reader_of_chunks_is_named_before_the_cut(rainsim, model, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    done = rainsim("import", model, "--lod", "--out", "scene")
+    assert done.code == 1 and 'needs the package imagecodecs; pip install "rainsim[formats]"' in (
+        done.err
+    )
+    assert not list(tmp_path.glob("scene/*_*"))
 
 
 def test_an_interrupted_cut_goes_on_or_is_replaced(rainsim, model, tmp_path, monkeypatch):

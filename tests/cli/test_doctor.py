@@ -23,7 +23,7 @@ def test_what_is_wrong_comes_with_its_remedy(monkeypatch, tmp_path):
     found = rainsim.commands.environment.report()
     assert "threads" in rainsim.commands.environment.table(found)
     monkeypatch.setattr(rainsim.commands.environment, "threading_layer", lambda: ("workqueue", 1))
-    monkeypatch.setattr(rainsim.commands.environment.os, "cpu_count", lambda: 8)
+    monkeypatch.setattr(rainsim.commands.environment, "cores", lambda: 8)
     monkeypatch.setattr(rainsim.commands.environment, "CACHE_FOLDER", tmp_path)
     wrong = rainsim.commands.environment.report()["wrong"]
     assert any("NUMBA_NUM_THREADS" in line for line in wrong)
