@@ -156,6 +156,7 @@ def frame(**given):
     default=True,
     help="Compile all kernels again for a run with empty caches, which takes minutes.",
 )
+@click.option("--growth", is_flag=True, help="Vary splats, cells and pixels of the bicycle.")
 def wait(**given):
     """Draw the first picture of scenes by `rainsim run`, without kept results and with them.
 
@@ -165,6 +166,7 @@ def wait(**given):
     \b
     Example:
         python -m benchmarks wait --json wait.json --chart wait.png
+        python -m benchmarks wait --growth --chart wait-growth.png
     """
 
 

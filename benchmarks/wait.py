@@ -14,6 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from benchmarks import wait_growth
 from benchmarks.chart import require_matplotlib, save
 from benchmarks.suite import load_line, machine
 from rainsim.io.cache import VARIABLE
@@ -24,8 +25,10 @@ CAMERAS = {"garden": "DSC07965", "south": "P1180150", "lund": "02"}  # else the 
 WIDTH, SMALL = 648, 160  # px
 
 
-def run(quick, say, backend="cpu", compiled=True, scene=()):
+def run(quick, say, backend="cpu", compiled=True, scene=(), growth=False):
     """Return time and memory of first and second runs, see `benchmarks.suite`."""
+    if growth:
+        return wait_growth.run(quick, say, waited, backend)
     known = {name for name, _, _ in list_scenes()}
     names = scene or [name for name in SCENES[: 1 if quick else None] if name in known]
     rows = []
@@ -44,12 +47,15 @@ def run(quick, say, backend="cpu", compiled=True, scene=()):
     return {"machine": machine(backend=backend), "runs": rows}
 
 
-def waited(name, out, variables, backend, width):
-    """Return seconds, processor seconds, peak memory [MB] and stages [s] of one run."""
+def waited(name, out, variables, backend, width, *more):
+    """Return seconds, processor seconds, peak memory [MB] and stages [s] of one run.
+
+    more : str. Options of the command besides.
+    """
     command = [
         sys.executable, "-m", "rainsim", "run", "--scene", name, "--preset", "downpour",
         "--frames", "1", "--width", str(width), "--backend", backend, "--quiet", "--overwrite",
-        "--out", str(out),
+        "--out", str(out), *more,
     ]  # fmt: skip
     command += ["--camera", CAMERAS[name]] if name in CAMERAS else []
     begin = time.perf_counter()
@@ -77,6 +83,8 @@ def table_line(row):
 
 def table(result):
     """Return the figures as Markdown."""
+    if "growth" in result:
+        return wait_growth.table(result)
     head = "| scene | | s | s of processor time | MB at most | stages [s] |"
     head += "\n|---|---|---|---|---|---|"
     backend = result["machine"]["backend"]
@@ -86,6 +94,8 @@ def table(result):
 
 def draw(result, path):
     """Draw the stages of all runs as bars."""
+    if "growth" in result:
+        return wait_growth.draw(result, path)
     pyplot = require_matplotlib()
     rows = result["runs"][::-1]
     names = [f"{row['scene']}, {row['run']}" for row in rows]
