@@ -184,17 +184,18 @@ def is_speck(depth, view, row, column, level):
     """Tell whether what a pixel shows just above water at a `level` [m] is noise of the depth.
 
     At an edge of what lies under water the depth of splats may be a centimetre or two too small,
-    in a pixel here and there. Of what really stands out, four pixels around stand out as well.
+    in a pixel here and there. Of what really stands out, four pixels around are half as high.
     """
     height, width = depth.shape
+    _, _, z = pixel_ray(view, row, column)
+    above = view.eye[2] + depth[row, column] * z - level
+    if above > SPECK:
+        return False
     standing = 0
     for j in range(max(row - 1, 0), min(row + 2, height)):
         for i in range(max(column - 1, 0), min(column + 2, width)):
             _, _, z = pixel_ray(view, j, i)
-            above = view.eye[2] + depth[j, i] * z - level
-            if j == row and i == column and above > SPECK:
-                return False
-            standing += np.int64(above > HIDE_LOW)
+            standing += np.int64(view.eye[2] + depth[j, i] * z - level > HALF * above)
     return standing <= AROUND  # it is one of them
 
 
