@@ -28,11 +28,10 @@ GROUP = 512  # records that a thread takes at a time
 # its end, image point there and depth [m] of what the picture shows there; share of the light.
 (VIEW_X, VIEW_Y, VIEW_Z, SLOPE_X, SLOPE_Y, U, V, Z, DU, DV, END, BLUR, AT_U, AT_V, SURFACE,
  SHARE) = (CHUNK * k for k in range(16))  # fmt: skip
-# Of the rays that are marched: as above, what the last steps found, and 1 from the hit on.
-(FROM_U, FROM_V, FROM_Z, WAY_U, WAY_V, BEFORE, LAST, FREE, HIGH, MET) = (
-    CHUNK * k for k in range(16, 26)
-)
-NUMBERS = 26 * CHUNK
+# Of the rays that are marched: as above, depth and share of the way at which each was last in front
+# of everything, the share at which it met something, and 1 from then on.
+(FROM_U, FROM_V, FROM_Z, WAY_U, WAY_V, BEFORE, FREE, HIGH, MET) = (CHUNK * k for k in range(16, 25))
+NUMBERS = 25 * CHUNK
 
 
 @jit.thorough_kernel
@@ -155,8 +154,7 @@ def march_rays(depth, n, s, place, marched):
         s[FROM_U + k], s[FROM_V + k], s[FROM_Z + k] = s[U + i], s[V + i], s[Z + i]
         s[WAY_U + k], s[WAY_V + k] = s[DU + i], s[DV + i]
     for k in range(count):
-        s[BEFORE + k], s[LAST + k], s[FREE + k] = s[FROM_Z + k], ZERO, ZERO
-        s[HIGH + k], s[MET + k] = ZERO, ZERO
+        s[BEFORE + k], s[FREE + k], s[HIGH + k], s[MET + k] = s[FROM_Z + k], ZERO, ZERO, ZERO
     for k in range(planar_mirror.STEPS):
         share = planar_mirror.step_share(k)
         step_to(share, count, s)
@@ -201,16 +199,13 @@ def check_step(share, n, s):
     met = 0
     gain = planar_mirror.depth_gain(share)
     for i in range(n):
-        surface, before, last, free, high = (
-            s[SURFACE + i], s[BEFORE + i], s[LAST + i], s[FREE + i], s[HIGH + i]
-        )  # fmt: skip
+        surface, before, free, high = s[SURFACE + i], s[BEFORE + i], s[FREE + i], s[HIGH + i]
         now, done = s[FROM_Z + i] * gain, s[MET + i] > ZERO
-        hit = planar_mirror.met_between(before, now, surface)
+        hit = planar_mirror.met_since(before, now, surface) & (not done)
         clear = (now < surface) & (not done)
-        s[HIGH + i] = share if hit & (not done) else high
-        s[FREE + i] = share if clear else free
+        s[HIGH + i] = share if hit else high
+        s[FREE + i], s[BEFORE + i] = share if clear else free, now if clear else before
         stays = hit | done
-        s[LAST + i], s[BEFORE + i] = last if stays else share, before if stays else now
         s[MET + i] = ONE if stays else ZERO
         met += np.int64(stays)
     return met
@@ -218,18 +213,19 @@ def check_step(share, n, s):
 
 @jit.serial_kernel
 def halve_to(n, s):
-    """Take n rays to the middle of their last step."""
+    """Take n rays to the middle of the way on which they meet something."""
     for i in range(n):
-        share = HALF * (s[LAST + i] + s[HIGH + i])
+        share = HALF * (s[FREE + i] + s[HIGH + i])
         s[AT_U + i] = s[FROM_U + i] + share * s[WAY_U + i]
         s[AT_V + i] = s[FROM_V + i] + share * s[WAY_V + i]
 
 
 @jit.serial_kernel
 def keep_half(n, s):
-    """Keep the half of the last step in which a ray meets something."""
+    """Keep the half of the way in which a ray meets something; those that meet nothing stay."""
     for i in range(n):
-        low, high = s[LAST + i], s[HIGH + i]
+        low, high, met = s[FREE + i], s[HIGH + i], s[MET + i] > ZERO
         middle = HALF * (low + high)
         behind = planar_mirror.is_behind(s[FROM_Z + i], middle, s[SURFACE + i])
-        s[LAST + i], s[HIGH + i] = low if behind else middle, middle if behind else high
+        s[FREE + i] = middle if met & (not behind) else low
+        s[HIGH + i] = middle if behind else high

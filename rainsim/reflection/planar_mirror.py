@@ -24,9 +24,9 @@ from rainsim.reflection.facets import light_weight, slope_samples
 from rainsim.reflection.mirrored_rays import SPREAD, sample_blur, sample_ray
 from rainsim.scene.view import camera_component, project
 
-STEPS = 8  # of the march along a bent ray in the mirrored picture, see docs/light.md
+STEPS = 24  # of the march along a bent ray in the mirrored picture, see docs/light.md
 THICKNESS = np.float32(0.1)  # m: how far behind its depth a surface still stops such a ray
-HALVINGS = 3  # of the last step, in which something is met
+HALVINGS = 2  # of the last step, in which something is met
 SAME = np.float32(0.05)  # share of a depth within which two points are taken for one
 MIRROR_FAR = np.float32(100)  # m, stands for the sky's distance
 
@@ -79,25 +79,23 @@ def march_mirror(view, depth, water, rx, ry, rz):
     guess = guessed_share(z0, _depth_at(depth, u0, v0))
     if is_met(z0, guess, _depth_at(depth, u0 + guess * du, v0 + guess * dv)):
         return u0 + guess * du, v0 + guess * dv, guess
-    before, last, end = z0, ZERO, ZERO
+    before, end = z0, ZERO
     for k in range(STEPS):
         t = step_share(k)
         now = z0 * depth_gain(t)
         surface = _depth_at(depth, u0 + t * du, v0 + t * dv)
-        if met_between(before, now, surface):
-            low, high = last, t
+        if met_since(before, now, surface):
+            low, end = end, t
             for _ in range(HALVINGS):
-                middle = HALF * (low + high)
+                middle = HALF * (low + end)
                 surface = _depth_at(depth, u0 + middle * du, v0 + middle * dv)
                 if is_behind(z0, middle, surface):
-                    high = middle
+                    end = middle
                 else:
                     low = middle
-            end = high
             break
         if now < surface:
-            end = t
-        before, last = now, t
+            before, end = now, t
     return u0 + end * du, v0 + end * dv, end
 
 
@@ -149,8 +147,11 @@ def is_behind(z0, share, surface):
 
 
 @inlined_function
-def met_between(before, now, surface):
-    """Tell whether a ray meets a surface between two of its depths."""
+def met_since(before, now, surface):
+    """Tell whether a ray has met a surface since it was last in front of all, at depth `before`.
+
+    It may have met it where something else hid that: a wall goes on behind a post.
+    """
     return (now >= surface) & (before <= surface + THICKNESS)
 
 

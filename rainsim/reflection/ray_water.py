@@ -9,9 +9,10 @@ from rainsim.jit import device_function, inlined_function, lean_function, prange
 from rainsim.numerics.interpolation import bilinear, map_place, smoothstep
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.reflection.water_surface import WaterMap
-from rainsim.scene.view import View, column_slope, row_slope
+from rainsim.scene.view import View, column_slope, pixel_ray, row_slope
 
 HIDE_LOW, HIDE_HIGH = np.float32(0.004), np.float32(0.014)  # m above water: hides it, softly
+SPECK, AROUND = np.float32(0.03), 4  # m above water, pixels around: less is noise, see `is_speck`
 # m of water that begin to close over rough ground, and that hide it wholly; chosen by eye on a
 # captured patio.
 COVERING_DEPTHS = np.array([0.4e-3, 2.2e-3], np.float32)
@@ -52,14 +53,14 @@ def meet_water(
     for k in prange(height):
         row = row_order[k]
         count_out[row] = meet_row(
-            row, depth[row], view, water_map, highest, cover, hit_out[row], coverage_out[row]
+            row, depth, view, water_map, highest, cover, hit_out[row], coverage_out[row]
         )
 
 
 @device_function
 def meet_row(row, depth, view, water_map, highest, cover, hit_out, coverage_out):
     """Find the water in one row of pixels; return how many it covers. See `meet_water`."""
-    width = len(depth)
+    width = depth.shape[1]
     s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
     corner = np.empty(CORNERS, np.float32)
     count = 0
@@ -67,12 +68,13 @@ def meet_row(row, depth, view, water_map, highest, cover, hit_out, coverage_out)
     for left in range(0, width, CHUNK):
         n = min(CHUNK, width - left)
         here = coverage_out[left : left + n]
-        low = aim(depth[left : left + n], view, highest, left, b, n, s)
+        low = aim(depth[row, left : left + n], view, highest, left, b, n, s)
         if low > 0:
             follow(view, water_map, n, s, place, corner)
             count += cover_chunk(
-                view, water_map, cover, n, s, place, corner, hit_out[left : left + n], here
-            )
+                depth, row, left, view, water_map, cover, n, s, place, corner,
+                hit_out[left : left + n], here,
+            )  # fmt: skip
         else:
             for i in range(n):
                 here[i] = ZERO
@@ -93,7 +95,7 @@ def aim(depth, view, highest, left, b, n, s):
     for i in range(n):
         a = column_slope(view, left + i)
         x, y, z = m00 * a + m01 * b + m02, m10 * a + m11 * b + m12, m20 * a + m21 * b + m22
-        down = (z <= LEAST_DIP) & (up + s[DEPTH + i] * z <= highest + HIDE_HIGH)
+        down = (z <= LEAST_DIP) & (up + s[DEPTH + i] * z <= highest + SPECK)
         z = z if down else -ONE
         s[RAY_X + i], s[RAY_Y + i], s[RAY_Z + i] = x, y, z
         s[WAY + i] = (highest - up) / z if down else -ONE
@@ -132,7 +134,9 @@ def find_cells(view, water_map, n, s):
 
 
 @inlined_function
-def cover_chunk(view, water_map, cover, n, s, place, corner, hit_out, coverage_out):
+def cover_chunk(
+    depth, row, left, view, water_map, cover, n, s, place, corner, hit_out, coverage_out
+):
     """Write where n rays have met the water and how much it covers; return how often it does."""
     ny, nx = water_map.surface.shape
     right, bottom = np.float32(nx - 2), np.float32(ny - 2)
@@ -144,6 +148,11 @@ def cover_chunk(view, water_map, cover, n, s, place, corner, hit_out, coverage_o
         met = met & (u > ONE) & (v > ONE) & (u <= right) & (v <= bottom)
         s[STEP + i] = ONE if met else ZERO
     interpolate(water_map.depth, n, s, U, V, place, corner)
+    up = view.eye[2]
+    for i in range(n):
+        if s[STEP + i] > ZERO and (s[DEPTH + i] - s[WAY + i]) * s[RAY_Z + i] > HIDE_LOW:
+            if is_speck(depth, view, row, left + i, up + s[WAY + i] * s[RAY_Z + i]):
+                s[DEPTH + i] = s[WAY + i]
     count = 0
     for i in range(n):
         behind = s[DEPTH + i] - s[WAY + i]
@@ -168,6 +177,26 @@ def covered(water_depth, behind, z, thin, full):
     """
     above = behind * z  # m, height of the scene over the water
     return smoothstep(thin, full, water_depth) * (ONE - smoothstep(HIDE_LOW, HIDE_HIGH, above))
+
+
+@lean_function
+def is_speck(depth, view, row, column, level):
+    """Tell whether what a pixel shows just above water at a `level` [m] is noise of the depth.
+
+    At an edge of what lies under water the depth of splats may be a centimetre or two too small,
+    in a pixel here and there. Of what really stands out, four pixels around are half as high.
+    """
+    height, width = depth.shape
+    _, _, z = pixel_ray(view, row, column)
+    above = view.eye[2] + depth[row, column] * z - level
+    if above > SPECK:
+        return False
+    standing = 0
+    for j in range(max(row - 1, 0), min(row + 2, height)):
+        for i in range(max(column - 1, 0), min(column + 2, width)):
+            _, _, z = pixel_ray(view, j, i)
+            standing += np.int64(view.eye[2] + depth[j, i] * z - level > HALF * above)
+    return standing <= AROUND  # it is one of them
 
 
 @lean_function

@@ -6,9 +6,15 @@ import pytest
 from rainsim.jit import serial_kernel
 from rainsim.numerics.mipmap import coarsened
 from rainsim.reflection import water_record
+from rainsim.reflection.facets import normal_of
 from rainsim.reflection.mirror_pass import mirror_light
-from rainsim.reflection.mirrored_rays import ENVIRONMENT, MIRROR
-from rainsim.reflection.planar_mirror import MirrorPicture, mirrored_light
+from rainsim.reflection.mirrored_rays import ENVIRONMENT, MIRROR, reflected_upwards
+from rainsim.reflection.planar_mirror import (
+    MirrorPicture,
+    image_of,
+    mirrored_light,
+    vanishing_point,
+)
 from rainsim.reflection.water_record import RECORD, read_record
 from rainsim.scene.view import View
 
@@ -80,3 +86,31 @@ def test_rays_by_the_chunk_find_what_single_rays_find(rng, kind):
     assert apart.mean() < 2e-3
     assert set(np.unique(source)) <= {ENVIRONMENT, MIRROR}
     assert (source == ENVIRONMENT).all() == (kind == "sky")
+
+
+def test_no_sky_shows_through_a_wall_behind_bars(rng):
+    """A ray that goes behind a bar meets the wall there: the sky past the wall is no answer."""
+    turn, view = mirrored_view()
+    record = listed_water(turn, view, rng)
+    record[:, water_record.SLOPE_X : water_record.SLOPE_Y + 1] *= 2
+    record[:, water_record.VARIANCE_X : water_record.COVARIANCE + 1] = 0
+    top, far, near = 0.75 * HEIGHT, 6.0, 3.0  # the wall's row, then depths [m]
+    picture, depth = np.ones((HEIGHT, WIDTH, 3), np.float32), np.full((HEIGHT, WIDTH), 1e4)
+    wall, bars = np.arange(HEIGHT) < top, np.arange(WIDTH) % 8 < 4
+    picture[wall], depth[wall] = 0, far
+    picture[:, bars], depth[:, bars] = 0, near
+    mirror = MirrorPicture(picture, coarsened(picture), depth.astype(np.float32))
+    n = len(record)
+    found, source = np.full((n, 3), np.nan, np.float32), np.full(n, 99, np.uint8)
+    mirror_light(np.arange(n), record, view, mirror, found, source)
+    dark = np.zeros(n, bool)
+    for k in range(n):
+        water = read_record(record, k)
+        _, v, z = image_of(view, water.x, water.y, water.z)
+        normal = normal_of(water.slope_x, water.slope_y)
+        ray = reflected_upwards(water.view_x, water.view_y, water.view_z, *normal)
+        end = vanishing_point(view, *ray)
+        at_wall = v + (1 - z / far) * (end[1] - v)
+        dark[k] = z < near and at_wall < top - 1
+    assert dark.mean() > 0.1 and (found[~dark] > 0.5).mean() > 0.2
+    assert np.isfinite(found).all() and (found[dark, 0] > 0.5).mean() < 0.012

@@ -254,6 +254,20 @@ def test_what_stands_above_the_water_is_not_painted_over():
     np.testing.assert_array_equal(out, picture)
 
 
+@pytest.mark.parametrize("side, over, hides", [(1, 0.02, False), (3, 0.02, True), (1, 0.1, True)])
+def test_noise_of_the_depth_makes_no_holes_in_water(side, over, hides):
+    depth, _ = floor_picture()
+    _, before = water(0.02)
+    row, column = (int(n) for n in np.argwhere(before > 0.999).mean(axis=0))
+    nearer = depth.copy()
+    part = np.s_[row - side // 2 : row + side // 2 + 1, column - side // 2 : column + side // 2 + 1]
+    nearer[part] = ((0.02 + over - EYE[2]) / rays()[part][..., 2]).astype(np.float32)
+    _, coverage = water(0.02, depth=nearer)
+    assert before[part].min() > 0.999 and (coverage[row, column] < 0.01) == hides
+    coverage[part] = before[part]
+    np.testing.assert_array_equal(coverage, before)
+
+
 def test_coverage_grows_with_depth_and_softly():
     middle = (HEIGHT // 2, WIDTH // 2)
     values = [water(d)[1][middle] for d in (0.0003, 0.0008, 0.0013, 0.0018, 0.003)]

@@ -7,7 +7,15 @@ import numpy as np
 from rainsim.constants import ONE, ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.numerics.interpolation import bilinear
-from rainsim.reflection.ray_water import HIDE_HIGH, LEAST_COVERAGE, LEAST_DIP, covered, meet_surface
+from rainsim.reflection.ray_water import (
+    HIDE_LOW,
+    LEAST_COVERAGE,
+    LEAST_DIP,
+    SPECK,
+    covered,
+    is_speck,
+    meet_surface,
+)
 from rainsim.scene.view import pixel_ray, view_from
 
 
@@ -27,13 +35,15 @@ def meet_water(depth, camera, water_map, highest, cover, hit_out, coverage_out):
     coverage_out[row, column] = ZERO
     x, y, z = pixel_ray(view, row, column)
     behind = depth[row, column]
-    if z > LEAST_DIP or view.eye[2] + behind * z > top + HIDE_HIGH:
+    if z > LEAST_DIP or view.eye[2] + behind * z > top + SPECK:
         return
     t, u, v = meet_surface(view, water_map, x, y, z, top)
     if not (t > ZERO and u > ONE and v > ONE):
         return
     if u > np.float32(nx - 2) or v > np.float32(ny - 2):
         return
+    if (behind - t) * z > HIDE_LOW and is_speck(depth, view, row, column, view.eye[2] + t * z):
+        behind = t
     covers = covered(bilinear(water_map.depth, u, v), behind - t, z, cover[0], cover[1])
     if covers > LEAST_COVERAGE:
         coverage_out[row, column], hit_out[row, column] = covers, t
