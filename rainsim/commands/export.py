@@ -170,6 +170,9 @@ def _cameras(job):
         cameras = scene.cameras
     elif _number_of(views):
         count = min(int(views), len(scene.cameras))
+        if count < int(views):
+            job.status.say(f"WARNING: --views is {views}, the scene has {count} cameras: all are "
+                           "taken; --drive-speed places more between them")  # fmt: skip
         step = len(scene.cameras) / count
         cameras = [scene.cameras[int((k + 0.5) * step)] for k in range(count)]
     else:
