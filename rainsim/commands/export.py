@@ -23,8 +23,8 @@ MOST_LAYERS = 29  # AOVs of a picture's labels, and those of two that are being 
 
 # fmt: off
 _data_options = group(
-    option("layout", click.Choice(LAYOUTS), "Whose names, folders and encodings.",
-           default="nerfstudio"),
+    option("layout", click.Choice(LAYOUTS, case_sensitive=False),
+           "Whose names, folders and encodings.", default="nerfstudio"),
     option("rain rains", str, "Rain rates in mm/h; 0 is the clear picture: the dry capture as it "
            "was taken. The preset's rate does not count.", "MM/H,MM/H", default=DEFAULT_RAINS),
     option("views", str, "Cameras of the capture: all, N of them evenly in their order, or by name "

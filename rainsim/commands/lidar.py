@@ -53,7 +53,8 @@ def lidar(scene, sensor, rains, height, speed, turns, kind, **given):
 
     Writes DIR/clear and DIR/rain/25mm and so on with a file for each turn, the label of each point
     (1 scattered by a drop, 2 kept, 3 mirrored by water; lost pulses have no point), poses.txt and
-    lidar.json with counts, extinction and LISA's expectation.
+    lidar.json with counts, extinction and LISA's expectation. For clouds along a drive, with
+    pictures, see `rainsim export --layout semantic_kitti`.
 
     \b
     Example:
