@@ -190,7 +190,9 @@ def _warn_before_fork():
         layer = numba.threading_layer()  # known once a kernel has run
     except ValueError:
         return
-    if layer == "omp" and not _has_warned:
+    # A child of `subprocess` becomes another program, such as the encoder of a video.
+    program = sys._getframe(1).f_globals.get("__name__") == "subprocess"
+    if layer == "omp" and not _has_warned and not program:
         _has_warned = True
         print(
             "rainsim: this process forks after compiled kernels have run; OpenMP ends a forked "

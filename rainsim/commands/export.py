@@ -19,14 +19,14 @@ from rainsim.errors import ParameterError, counted
 DEFAULT_RAINS = "0,1,5,10,25,50"
 MOST_RAINS = 64
 ROUNDED = 1e-9  # by which the shape of a pixel may differ from rounding alone
-MOST_LAYERS = 26  # AOVs of a picture's labels, and those of two that are being written
+MOST_LAYERS = 29  # AOVs of a picture's labels, and those of two that are being written
 
 # fmt: off
 _data_options = group(
-    option("layout", click.Choice(LAYOUTS), "Whose names, folders and encodings.",
-           default="nerfstudio"),
+    option("layout", click.Choice(LAYOUTS, case_sensitive=False),
+           "Whose names, folders and encodings.", default="nerfstudio"),
     option("rain rains", str, "Rain rates in mm/h; 0 is the clear picture: the dry capture as it "
-           "was taken.", "MM/H,MM/H", default=DEFAULT_RAINS),
+           "was taken. The preset's rate does not count.", "MM/H,MM/H", default=DEFAULT_RAINS),
     option("views", str, "Cameras of the capture: all, N of them evenly in their order, or by name "
            "(12, is the camera 12). All see one moment.", "all|N|NAME,NAME", default="all"),
     option("path", FILE, "A camera path instead, as `rainsim run` takes it: its views follow one "
@@ -73,9 +73,9 @@ _size_options = group(
 def export(scene, layout, rains, **given):
     """Write a data set of SCENE: each view clear and in each rain, with labels.
 
-    Labels: depth, range, classes of ground and water, puddles, splashes, masks of what rain spoils,
-    weather; with --drive or --path optical flow. What a layout cannot hold lies beside it, in the
-    folder rainsim. card.json and CARD.md say by which numbers it rained.
+    Labels: depth, range, classes of ground and water, puddles, splashes, wetness, masks of what
+    rain spoils, weather; with --drive or --path optical flow. What a layout cannot hold lies beside
+    it, in the folder rainsim. card.json and CARD.md say by which numbers it rained.
 
     \b
     Example:
@@ -146,7 +146,7 @@ def rains_of(text):
     if not good or len(rates) > MOST_RAINS:
         raise ParameterError(
             f"--rain is {text!r}; it must be up to {MOST_RAINS} rates from 0 to {MAX_RATE:g} mm/h "
-            f"with commas between them, such as {DEFAULT_RAINS}"
+            f"with commas, such as {DEFAULT_RAINS}; `rainsim presets` lists those of presets"
         )
     return tuple(rates)
 
@@ -170,6 +170,9 @@ def _cameras(job):
         cameras = scene.cameras
     elif _number_of(views):
         count = min(int(views), len(scene.cameras))
+        if count < int(views):
+            job.status.say(f"WARNING: --views is {views}, the scene has {count} cameras: all are "
+                           "taken; --drive-speed places more between them")  # fmt: skip
         step = len(scene.cameras) / count
         cameras = [scene.cameras[int((k + 0.5) * step)] for k in range(count)]
     else:

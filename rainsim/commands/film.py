@@ -462,7 +462,8 @@ def _draw_shared(status, sequence, run, resume):
     reports = shared.draw(sequence, _then_frames(status, len(run[3].indices)), status.notes)
     left = shared.complete()
     if left:
-        status.say(f"{left} of {sequence.config.frames} frames are still to be drawn elsewhere")
+        status.say(f"{left} of {sequence.config.frames} frames are left to other ranges; with the "
+                   "last come preview.webp and transforms.json")  # fmt: skip
     return reports
 
 

@@ -19,7 +19,7 @@ from rainsim.errors import DivergedError, InputError, ParameterError, require_po
 
 SAVE_EVERY = 60.0  # s of the clock, after a step
 GAUGES, STATE = "gauges.csv", "state.npz"
-MAPS, PICTURE = ("depth", "u", "v"), "depth.png"
+MAPS, PICTURE, LEAST_WIDTH = ("depth", "u", "v"), "depth.png", 640  # px, about
 MOST_READINGS = 1_000_000
 MOST_DIGITS = 10  # of a row or a column
 HEIGHT_UNITS = {"m": 9001, "ft": 9002, "us-ft": 9003}  # their codes in GeoTIFF
@@ -421,7 +421,9 @@ def _write_maps(out, ground, spacing, solver, absent):
     names = [f"{name}{ground.kind}" for name in MAPS]
     for name, values in zip(names, maps, strict=True):
         write_raster(out / name, np.where(absent, np.nan, values), ground)
-    write_png(out / PICTURE, water_over(ground.values, spacing, maps[0]))
+    picture = water_over(ground.values, spacing, maps[0])
+    wide = max(1, LEAST_WIDTH // max(picture.shape))  # px of a cell
+    write_png(out / PICTURE, picture.repeat(wide, 0).repeat(wide, 1))
     return [*names, PICTURE]
 
 

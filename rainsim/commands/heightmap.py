@@ -29,8 +29,8 @@ CHECK_RAIN = 3  # mm of them, over what a camera sees
 def heightmap(scene, check, **given):
     """Make the height map of SCENE, a name or a path as for `rainsim run`.
 
-    SCENE may also be a triangle mesh (PLY or OBJ) or a map of heights (float TIFF, metres, north at
-    the top, with --spacing its cell size).
+    SCENE may also be a triangle mesh (PLY or OBJ) or a map of heights in metres with the north at
+    the top, .asc or TIFF (--spacing is its cell size, if it names none).
 
     Writes terrain.npz (ground, occluder top and underside, masks), bed.tif and top.tif (float32
     metres, north at the top), ground_frame.json, and to look at: hillshade.png, classes.png and

@@ -20,8 +20,8 @@ HIGHEST = 1000.0  # m above or below the ground's level
 _lidar_options = group(
     option("sensor", click.Choice(SENSORS), "Channels, ranges and beams of which lidar.",
            default="vlp16"),
-    option("rain rains", str, "Rain rates in mm/h; 0 is the dry scene in clear air.", "MM/H,MM/H",
-           default="0,10,25,50"),
+    option("rain rains", str, "Rain rates in mm/h; 0 is the dry scene in clear air. The "
+           "preset's rate does not count.", "MM/H,MM/H", default="0,10,25,50"),
     option("camera", str, "The lidar stands at this camera, level, and looks where it looks. "
            "[default: the first]", "NAME"),
     option("height", float, "Height of the lidar above the ground's level in metres.", "M",
@@ -53,7 +53,8 @@ def lidar(scene, sensor, rains, height, speed, turns, kind, **given):
 
     Writes DIR/clear and DIR/rain/25mm and so on with a file for each turn, the label of each point
     (1 scattered by a drop, 2 kept, 3 mirrored by water; lost pulses have no point), poses.txt and
-    lidar.json with counts, extinction and LISA's expectation.
+    lidar.json with counts, extinction and LISA's expectation. For clouds along a drive, with
+    pictures, see `rainsim export --layout semantic_kitti`.
 
     \b
     Example:

@@ -155,6 +155,7 @@ def scenes(as_json):
 
     rows = [{"name": n, "where": str(w), "built_in": bool(b)} for n, w, b in list_scenes()]
     lines = [f"{row['name']:<20} {row['where']}" for row in rows]
+    lines.append("street:300, traffic:300  the same, 300 m long")
     options.echo(rows, as_json, "\n".join(lines))
 
 
@@ -182,7 +183,8 @@ def presets(name, keys, as_json):
         click.echo(json.dumps(settings_of, indent=1) if as_json else preset_text(name), nl=as_json)
         return
     about = {n: _comment(preset_text(n)) for n in preset_names()}
-    lines = [f"{n:<10} {text}" for n, text in about.items()]
+    rates = {n: 3.6e6 * Config.from_preset(n).rain.rate for n in about}
+    lines = [f"{n:<10}{rates[n]:3g} mm/h  {text}" for n, text in about.items()]
     options.echo(about, as_json, "\n".join(lines))
 
 

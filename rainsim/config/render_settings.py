@@ -183,7 +183,8 @@ class RenderConfig(Group):
     streaks: str = setting(
         "shutter", "streaks", "",
         "shutter draws drops over the exposure, paper lines of opaque spheres",
-        OneOf("shutter", "paper"), touches=(), paper="paper")
+        OneOf("shutter", "paper", remedy="their strength is streak_strength"), touches=(),
+        paper="paper")
     splashes: str = setting(
         "crowns", "splashes", "", "crowns, jets and droplets, or one Gaussian for each drop",
         OneOf("crowns", "paper"), touches=(), paper="paper")

@@ -30,9 +30,10 @@ def sample_files(sample, plan):
     yield DataFile(f"{folder}/range/{name}.png", PNG16, depth_mm(sample.range))
     if sample.labels is not None:
         yield DataFile(f"{folder}/labels/{name}.png", PNG16, sample.labels)
-    if sample.glass is not None:
-        share = np.rint(np.clip(sample.glass, 0, 1) * 65535).astype(np.uint16)
-        yield DataFile(f"{folder}/glass/{name}.png", PNG16, share)
+    for kind in ("glass", "wetness"):
+        if (share := getattr(sample, kind)) is not None:
+            share = np.rint(np.clip(share, 0, 1) * 65535).astype(np.uint16)
+            yield DataFile(f"{folder}/{kind}/{name}.png", PNG16, share)
     if sample.flow is not None:
         yield DataFile(f"{folder}/flow/{name}.png", PNG48, sample.flow_picture)
         mask = sample.flow_mask.astype(np.uint8)

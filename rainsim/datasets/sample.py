@@ -87,6 +87,7 @@ class Sample:
     flow_mask: np.ndarray | None = None  # uint16
     labels: np.ndarray | None = None  # uint16, the user's own
     glass: np.ndarray | None = None  # float32, share of light that came through drops on it
+    wetness: np.ndarray | None = None  # float32, 0 dry to 1 wet through
     facts: dict = field(default_factory=dict)  # see `rainsim.render.layers.facts_of`
     actor_id: np.ndarray | None = None
     partners: dict = field(default_factory=dict)  # pictures by the names of PARTNERS

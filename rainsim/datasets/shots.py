@@ -20,7 +20,8 @@ from rainsim.sensors.rolling import STILL, Motion, draw_rolling
 from rainsim.shading.wetness import paving_dampness
 from rainsim.terrain.pond import without_images
 
-LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", "splash_alpha")
+LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", "splash_alpha",
+          "wetness")  # fmt: skip
 FLOWS, ACTORS = ("flow", "flow_mask"), "actor_id"
 NEAR = 0.05  # m
 CLEAR, CLEAR_AIR = "clean", "clear_air"
@@ -226,6 +227,6 @@ class Shots:
         return Sample(
             view, rate, np.array(picture), found["depth"], found["range"], found["class_id"],
             found["puddle_id"], found["splash_id"], keep, flow, mask, labels, glass,
-            cloud=cloud, facts=facts, actor_id=found.get(ACTORS),
+            cloud=cloud, facts=facts, actor_id=found.get(ACTORS), wetness=found["wetness"],
             partners={kind: np.array(other) for kind, other in partners.items()},
         )  # fmt: skip

@@ -93,14 +93,6 @@ def write_png48(path, values):
     write_png_file(path, values)
 
 
-def _write(path, image, **options):
-    """Encode a picture and write it.
-
-    Where a disk is full, Pillow's plugin would print a traceback when it is deleted.
-    """
-    path.write_bytes(iio.imwrite("<bytes>", image, plugin="pillow", **options))
-
-
 def data_suffix():
     """Return how files of `write_data` end: exr with the extra `exr`, else npz."""
     return "npz" if openexr() is None else "exr"
@@ -194,15 +186,6 @@ def of_photograph(path, read):
         raise InputError(f"{path} cannot be read as a photograph ({_first_line(error)})") from None
 
 
-def write_tiff(path, values):
-    """Write a map of float32 values, exactly; row 0 is the top line."""
-    values = np.ascontiguousarray(values, dtype=np.float32)
-    if values.ndim != 2:
-        raise ParameterError(f"the map for {path} has shape {values.shape}; it must have two axes")
-    with replacing(path) as temporary:
-        _write(temporary, values, extension=".tiff")
-
-
 def write_tagged(path, values, tags):
     """Write a map of float32 values as a TIFF with tags, a dict of int to numbers or text.
 
@@ -248,15 +231,12 @@ class Preview:
         """Write the added pictures as an animated WebP picture; with no frames do nothing."""
         if self._frames:
             with replacing(path) as temporary:
-                _write(
-                    temporary,
-                    np.stack(self._frames),
-                    extension=".webp",
-                    duration=round(self._duration),
-                    loop=0,
-                    quality=PREVIEW_QUALITY,
+                # In memory: where a disk is full, Pillow's plugin would print a traceback.
+                temporary.write_bytes(iio.imwrite(
+                    "<bytes>", np.stack(self._frames), plugin="pillow", extension=".webp",
+                    duration=round(self._duration), loop=0, quality=PREVIEW_QUALITY,
                     method=2,  # of 0 to 6: slower ones save a few percent
-                )
+                ))  # fmt: skip
 
 
 def _shrink(image, width):

@@ -59,7 +59,7 @@ def read_raster(path):
     Raises InputError if the file is no such map, its cells are no squares, or it
         is in degrees.
     """
-    path = require_file(path, "a map")
+    path = require_file(path, "a map, such as bed.tif of `rainsim heightmap`,")
     suffix = path.suffix.lower()
     if suffix not in KINDS:
         raise InputError(f"{path} is no map; it must be one of {', '.join(KINDS)}; convert it")

@@ -112,8 +112,8 @@ def load_scene(
             )
     scene = _built_in(str(name_or_path))
     note = (
-        f"scene {name_or_path} is a generated stand-in, not a capture; a scene of that name in a "
-        f"folder that {FOLDERS_VARIABLE} lists takes its place"
+        f"scene {name_or_path} is generated, not captured; one of yours of that name, in a folder "
+        f"of {FOLDERS_VARIABLE}, takes its place"
     )
     return override_ground_frame(replace(scene, notes=(*scene.notes, note)), **given)
 

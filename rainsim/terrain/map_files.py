@@ -9,6 +9,7 @@ import numpy as np
 
 from rainsim.errors import InputError
 from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
+from rainsim.io.rasters import SCALE, TIE, Raster, write_raster
 from rainsim.terrain.map_size import MOST_CELLS
 from rainsim.terrain.table import DRAIN
 from rainsim.terrain.types import MEASURED, NO_TOPS, Grid, Terrain, Tops
@@ -82,8 +83,11 @@ def write_terrain(folder, terrain):
         "notes": np.array(terrain.notes, dtype=np.str_),
     }  # fmt: skip
     write_arrays(folder / "terrain.npz", VERSION, arrays)
-    images.write_tiff(folder / "bed.tif", terrain.bed[::-1])
-    images.write_tiff(folder / "top.tif", terrain.top[::-1])
+    corner = grid.origin[0], grid.origin[1] + grid.shape[0] * grid.spacing, 0.0
+    tags = {SCALE: (grid.spacing, grid.spacing, 0.0), TIE: (0.0, 0.0, 0.0, *map(float, corner))}
+    like = Raster(None, kind=".tif", tags=tags)
+    write_raster(folder / "bed.tif", terrain.bed, like)
+    write_raster(folder / "top.tif", terrain.top, like)
     shade = np.hstack([hillshade(terrain.bed, grid.spacing, exaggerate=8),
                        hillshade(terrain.top, grid.spacing, exaggerate=1)])  # fmt: skip
     picture = (shade[::-1] * 255 + 0.5).astype(np.uint8)

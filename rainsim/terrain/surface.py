@@ -1,4 +1,4 @@
-"""Height maps without a capture: from triangle meshes (PLY, OBJ) and maps of heights (TIFF)."""
+"""Height maps without a capture: from triangle meshes (PLY, OBJ) and maps (TIFF, .asc)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rainsim.terrain.map_size import MOST_CELLS, choose_spacing
 from rainsim.terrain.table import GRASS, HARD
 from rainsim.terrain.types import MEASURED, UNKNOWN, Grid, Terrain
 
+MAPS = (".tif", ".tiff", ".asc")
 GREY = 0.5  # colour of what has none
 LONGEST_COUNT = 19  # digits of a number of rows, as in `rainsim.scene.plyheader`
 FARTHEST = 1e9  # units, from the origin, of a mesh; more is damage
@@ -26,10 +27,10 @@ _TYPES = {
 
 
 def is_surface(path):
-    """Whether `path` is a file with a triangle mesh or heights: OBJ, TIFF, or a PLY with faces."""
+    """Whether `path` is a file with a triangle mesh or heights: OBJ, TIFF, .asc, PLY with faces."""
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix in (".obj", ".tif", ".tiff"):
+    if suffix in (".obj", *MAPS):
         return path.is_file()
     if suffix != ".ply" or not path.is_file():
         return False
@@ -46,14 +47,10 @@ def terrain_from_surface(path, config, up=None, meters_per_unit=None):
     """
     path = Path(path)
     scale = 1.0 if meters_per_unit is None else require_positive("meters-per-unit", meters_per_unit)
-    if path.suffix.lower() in (".tif", ".tiff"):
+    if path.suffix.lower() in MAPS:
         if up is not None or config.extent is not None:
             raise ParameterError(f"{path} is a map of heights; --up and --extent do not apply")
-        if config.spacing is None:
-            raise ParameterError(
-                f"{path} is a map of heights; the size of its cells is needed; give --spacing M"
-            )
-        return _from_tiff(path, config.spacing, scale)
+        return _from_map(path, config.spacing, scale)
     points, triangles = (_read_obj if path.suffix.lower() == ".obj" else _read_ply)(path)
     note = f"{len(triangles)} triangles, z up" if up is None else f"{len(triangles)} triangles"
     if meters_per_unit is None:
@@ -103,24 +100,22 @@ def terrain_from_mesh(points, triangles, config, notes=()):
     return terrain_from_heights(np.where(np.isfinite(height), height, np.nan), grid, notes)
 
 
-def _from_tiff(path, spacing, scale):
-    from rainsim.io import images
+def _from_map(path, spacing, scale):
+    from rainsim.io.rasters import read_raster
 
-    values = images.read_image(path, MOST_CELLS)
-    if values.ndim != 2 or min(values.shape) < 3:
+    found = read_raster(path)
+    spacing = spacing or found.spacing
+    if spacing is None:
+        raise ParameterError(f"{path} does not say how large its cells are; give --spacing M")
+    if min(found.values.shape) < 3:
         raise InputError(
-            f"{path} has shape {values.shape}; a map of heights has one channel and at least 3 x 3 "
-            "cells; convert it"
+            f"{path} has shape {found.values.shape}; a map of heights has at least 3 x 3 cells"
         )
-    if values.dtype.kind != "f":
-        raise InputError(
-            f"{path} holds {values.dtype}; heights must be float metres; convert it to a float TIFF"
-        )
-    values = np.where(np.abs(values) < 1e5, values, np.nan)[::-1] * scale  # -9999e30 means no data
+    values = np.where(np.abs(found.values) < 1e5, found.values, np.nan) * scale
     size = np.array(values.shape[::-1]) * spacing
     grid = Grid(values.shape, (float(-size[0] / 2), float(-size[1] / 2)), spacing)
     note = f"{path.name}: {values.shape[1]} x {values.shape[0]} heights, cells of {spacing:g} m"
-    return terrain_from_heights(values, grid, (note,))
+    return terrain_from_heights(values, grid, (*found.notes, note))
 
 
 def terrain_from_heights(height, grid, notes=()):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from rainsim.io.files import read_text
 
 MOST_TABLE = 1 << 26  # bytes of a table that is read
 PIECE = 1.0  # s, for which the rate of an interpolated rain is taken for its mean
+OTHER_TIMES = re.compile(r"(t|time)[\W_]+(min|h|d|ms)|min$|.*(minute|hour|days|date)", re.I)
 
 
 class Series:
@@ -148,6 +150,10 @@ def read_series(path, column=None, factor=1.0, holds=False):
             "s first: time_s,rain_mm_h"
         )
     names = [name.strip() for name in rows[0]]
+    if OTHER_TIMES.match(names[0]):
+        raise InputError(f"{path} has times under {names[0]!r}; they must be in s from the start")
+    if re.fullmatch(r"[-+.\de]+", names[0]):
+        raise InputError(f"the first line of {path} holds numbers; add a line: time_s,rain_mm_h")
     if column is not None and column not in names[1:]:
         raise InputError(
             f"{path} has no column {column!r}; it has {', '.join(names[1:])}; name one of these"
@@ -160,7 +166,7 @@ def read_series(path, column=None, factor=1.0, holds=False):
         except (ValueError, IndexError):
             raise InputError(
                 f"line {line} of {path} has no number in its first column or under "
-                f"{names[number]!r}; each line needs both; leave gaps out"
+                f"{names[number]!r}; each line needs both, times in s and no dates; leave gaps out"
             ) from None
     try:
         return Series(*zip(*points, strict=True), holds=holds)

@@ -156,7 +156,7 @@ def test_frames_of_a_range_are_those_of_the_whole(film, tmp_path):
     assert film("whole").code == 0
     done = film("part", "--frame-range", "1:3")
     assert done.code == 0, done.err
-    assert "1 of 3 frames are still to be drawn elsewhere" in done.err
+    assert "1 of 3 frames are left to other ranges" in done.err
     whole, part = pictures(tmp_path / "whole"), pictures(tmp_path / "part")
     assert list(part) == ["00001.png", "00002.png"]
     assert all(np.array_equal(part[name], whole[name]) for name in part)

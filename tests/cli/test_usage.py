@@ -168,7 +168,7 @@ def test_scenes_and_presets_are_listed(rainsim, scene_folder, monkeypatch):
     assert "tiny" in rainsim("scenes").out and "bicycle" in rainsim("scenes").out
     found = {row["name"]: row for row in json.loads(rainsim("scenes", "--json").out)}
     assert found["bicycle"]["built_in"] and not found["tiny"]["built_in"]
-    assert rainsim("presets").out.split("\n")[0].startswith("drizzle ")
+    assert rainsim("presets").out.split("\n")[0].startswith("drizzle   2.5 mm/h  Light")
     assert list(json.loads(rainsim("presets", "--json").out)) == [
         "drizzle",
         "moderate",

@@ -42,7 +42,7 @@ def test_png_refuses_other_types(tmp_path):
 
 def test_tiff_keeps_float32_exactly(tmp_path, rng):
     values = rng.standard_normal((9, 5)).astype(np.float32)
-    images.write_tiff(tmp_path / "h.tif", values)
+    images.write_tagged(tmp_path / "h.tif", values, {})
     back = images.read_image(tmp_path / "h.tif")
     assert back.dtype == np.float32 and np.array_equal(back, values)
 
@@ -92,7 +92,7 @@ def test_a_picture_of_more_pixels_than_its_bytes_hold_is_refused(tmp_path):
     for side in (10, 4000):  # as tight as it gets: equal pixels
         Image.fromarray(np.zeros((side, side), np.float32)).save(path, compression="tiff_deflate")
         assert images.read_image(path).shape == (side, side)
-    images.write_tiff(path, np.zeros((10, 10), np.float32))
+    images.write_tagged(path, np.zeros((10, 10), np.float32), {})
     data = bytearray(path.read_bytes())
     directory = int.from_bytes(data[4:8], "little")
     for entry in range(directory + 2, len(data) - 12, 12):

@@ -43,7 +43,7 @@ from rainsim.scene.formats import read, usd
 from rainsim.scene.shot import read_shot
 from rainsim.sensors.lens_files import lens_named
 from rainsim.terrain.classify import read_mask
-from rainsim.terrain.surface import _from_tiff as read_tiff
+from rainsim.terrain.surface import _from_map as read_tiff
 from rainsim.terrain.surface import _read_obj, _read_ply
 from rainsim.terrain.table import class_table
 from rainsim.water.series import read_series

@@ -6,7 +6,8 @@ import pytest
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import InputError, ParameterError
 from rainsim.io import images
-from rainsim.terrain import MEASURED, UNKNOWN, is_surface, terrain_from_surface
+from rainsim.io.rasters import read_raster
+from rainsim.terrain import MEASURED, UNKNOWN, is_surface, terrain_from_surface, write_terrain
 
 CONFIG = TerrainConfig(spacing=0.05)
 
@@ -87,10 +88,24 @@ def test_the_upper_of_two_surfaces_counts(tmp_path):
 def test_a_tiff_is_taken_as_it_is(tmp_path):
     heights = np.arange(12, dtype=np.float32).reshape(3, 4) / 10
     heights[0, 0] = -9999e30
-    images.write_tiff(tmp_path / "h.tif", heights)
+    images.write_tagged(tmp_path / "h.tif", heights, {})
     ground = terrain_from_surface(tmp_path / "h.tif", TerrainConfig(spacing=0.5))
     np.testing.assert_array_equal(ground.bed[:2], heights[:0:-1])
     assert ground.source[2, 0] == UNKNOWN and ground.grid.origin == (-1.0, -0.75)
+
+
+def test_a_map_that_says_its_cells_needs_no_spacing(tmp_path):
+    (tmp_path / "h.asc").write_text("ncols 3\nnrows 3\nxllcorner 0\nyllcorner 0\ncellsize 2\n"
+                                    "1 2 3\n1 -9999 3\n1 2 3\n")  # fmt: skip
+    ground = terrain_from_surface(tmp_path / "h.asc", TerrainConfig())
+    assert ground.grid.spacing == 2 and ground.source[1, 1] == UNKNOWN
+    write_terrain(tmp_path, ground)
+    again = read_raster(tmp_path / "bed.tif")
+    assert again.spacing == 2 and again.corner == (-3, -3)
+    np.testing.assert_array_equal(again.values, ground.bed)
+    images.write_tagged(tmp_path / "none.tif", ground.bed, {})
+    with pytest.raises(ParameterError, match="give --spacing"):
+        terrain_from_surface(tmp_path / "none.tif", TerrainConfig())
 
 
 @pytest.mark.parametrize(
@@ -119,5 +134,5 @@ def test_a_cut_ply_and_a_huge_map_are_told(tmp_path):
     with pytest.raises(ParameterError, match="too large"):
         terrain_from_surface(tmp_path / "big.obj", CONFIG)
     with pytest.raises(ParameterError, match="do not apply"):
-        images.write_tiff(tmp_path / "h.tif", np.zeros((4, 4), np.float32))
+        images.write_tagged(tmp_path / "h.tif", np.zeros((4, 4), np.float32), {})
         terrain_from_surface(tmp_path / "h.tif", CONFIG, up=(0, 0, 1))

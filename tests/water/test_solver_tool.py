@@ -188,6 +188,10 @@ def test_a_table_of_rain_is_read(tmp_path):
         ('time_s,rain\n0,"' + 200_000 * "1", "no CSV table"),
         ("time_s,rain\n5,1\n1,2\n", "1 s of a series follows 5"),
         ("time_s,rain\n0,1\n", "no column 'snow'; it has rain"),
+        ("0,20\n600,100\n", "first line of .* holds numbers.*time_s,rain_mm_h"),
+        ("time_min,rain\n0,1\n", "times under 'time_min'"),
+        ("Time [h],rain\n0,1\n", "in s from the start"),
+        ("time,rain\n2024-05-01 10:00,1\n", "no dates"),
     ],
 )
 def test_a_table_that_is_none_is_refused(text, words, tmp_path):
