@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from rainsim.numerics.blocks import of_each
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 from rainsim.scene.cameras import look_at, resize_to
 from rainsim.scene.view import lens_array
@@ -90,10 +91,11 @@ def depth_views(scene, cameras, rasterizer):
     """
     frame, unit = scene.ground_frame, np.float32(scene.ground_frame.meters_per_unit)
     thin = has_thin_splats(scene.splats)
-    views = []
-    for camera in cameras:
-        camera = resize_to(camera, WIDTH)
-        layers = rasterizer.draw(camera, NEAR / frame.meters_per_unit, depth="median")
+    cameras = [resize_to(camera, WIDTH) for camera in cameras]
+    near = NEAR / frame.meters_per_unit
+    pictures = [rasterizer.draw(camera, near, depth="median") for camera in cameras]
+
+    def view(camera, layers):
         light = linear(layers.color / np.maximum(layers.alpha, np.float32(0.5))[..., None])
         plain = _plainness(light)
         share = 1.0 if thin else 0.5 + 0.5 * np.clip(2 * plain - 1, 0, 1)
@@ -101,21 +103,25 @@ def depth_views(scene, cameras, rasterizer):
             depth = layers.depth + share * (layers.plane_depth - layers.depth)
         depth = np.where(layers.alpha > OPAQUE, depth * unit, np.float32(np.inf))
         placed = frame.camera_in_ground(camera)
-        views.append(DepthView(
+        return DepthView(
             np.ascontiguousarray(placed.camera_from_world[:3], np.float32),
             placed.position.astype(np.float32),
             lens_array(camera),
             depth.astype(np.float32), np.empty(depth.shape, np.float32),
             light.astype(np.float32), plain,
-        ))  # fmt: skip
-    return views
+        )  # fmt: skip
+
+    return of_each(view, cameras, pictures)
 
 
 def leave_out_sky(views, sky):
     """Write into the views that pixels of the sky, bool (height, width) each, show no surface."""
-    for view, shown in zip(views, sky, strict=True):
+
+    def leave_out(view, shown):
         view.depth[shown] = np.inf
         ndimage.minimum_filter(view.depth, 3, output=view.least)
+
+    of_each(leave_out, views, sky)
 
 
 def _plainness(light):
