@@ -38,17 +38,9 @@ def in_blocks(work, count, size=ROWS):
 
 
 def of_each(function, *values):
-    """Return a list of what a function returns for each of some values, as `map` takes them.
-
-    It is called in several threads, as `in_blocks` does.
-    """
-    found, arguments = [None] * len(values[0]), list(zip(*values, strict=True))
-
-    def work(part):
-        found[part.start] = function(*arguments[part.start])
-
-    in_blocks(work, len(found), 1)
-    return found
+    """Return the list of what a function returns for each of some values, in several threads."""
+    with ThreadPoolExecutor(get_num_threads()) as pool:
+        return list(pool.map(function, *values))
 
 
 def stable_order(numbers):

@@ -106,7 +106,8 @@ def add_weights(entry, chunks, lane, order, weight, light_out):
     light_out : float64 array (n, 4)
     """
     for k in range(len(weight)):
-        o = np.int64(entry[k] & RECORD_MASK)
-        n = order[chunks[o // LANES] * LANES + lane[o]]
-        for part in range(4):
-            light_out[n, part] += weight[k, part]
+        if max(weight[k, 0], weight[k, 2], weight[k, 3]) > ZERO:  # many are hidden
+            o = np.int64(entry[k] & RECORD_MASK)
+            n = order[chunks[o // LANES] * LANES + lane[o]]
+            for part in range(4):
+                light_out[n, part] += weight[k, part]

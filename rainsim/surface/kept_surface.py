@@ -18,7 +18,7 @@ from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.ground_picture import ground_picture
 from rainsim.surface.ground_shade import GroundShade, ground_shade
-from rainsim.surface.unveiled import Unveiled, every_of, unveiled
+from rainsim.surface.unveiled import MOST_PICTURES, Unveiled, unveiled
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
 from rainsim.surface.wall_parts import laid_on_walls
 
@@ -126,10 +126,13 @@ def find_surface(scene, step=lambda: None):
     if colors.color is not None:
         pictures = list(zip(views, cameras, parts, strict=True))
         alone = _alone(near, surface)
-        sky, aloft, seen = _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
+        every = -(-len(pictures) // MOST_PICTURES)
+        sky, aloft, seen = _sky_splats(
+            scene, rasterizer, pictures, every, colors, position, alone, middle
+        )
         sky &= good
         if sky.any():
-            bare, bared = unveiled(scene, sky, seen, pictures)
+            bare, bared = unveiled(scene, sky, seen, pictures[::every])
             sky |= bare & good
         casters = good & ~(sky & alone)  # what looks like sky on a thing throws the thing's shade
     step()
@@ -256,10 +259,10 @@ def splat_normals(scene, found, sky):
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
 
 
-def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
+def _sky_splats(scene, rasterizer, pictures, every, colors, position, alone, middle):
     """Return which splats are sky, bool (n,), and which may be: `aloft` of `Found`.
 
-    And the light that each gives to the pictures that `unveiled` asks, (n,) [px].
+    And the light that each gives to `every` so many pictures, (n,) [px].
 
     The light that a splat gives to pixels that show the sky, and to those that show something else,
     tells it. Its own colour tells little: splats of a trained sky lie before one another, and some
@@ -280,7 +283,7 @@ def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
             light[some] += one[some]
             lit[some] += on_land + on_rim > SPECK
             veiled[some] += (before > SPECK) & (on_sky < VEILED * before)
-            if n % every_of(pictures) == 0:
+            if n % every == 0:
                 asked[some] += on_land + on_sky + on_rim
 
         in_blocks(add, len(position))

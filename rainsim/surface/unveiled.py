@@ -39,17 +39,12 @@ class Unveiled(NamedTuple):
         return replace(splats, sh=sh)
 
 
-def every_of(pictures):
-    """Return of how many pictures one is asked."""
-    return -(-len(pictures) // MOST_PICTURES)
-
-
 def unveiled(scene, sky, seen, pictures):
     """Return which other splats lie bare before the sky without those of it, and `Unveiled`.
 
     sky : bool array (n,). Splats that are left out.
-    seen : float array (n,) [px]. Light that each gives to the pictures that are
-        asked, where all are drawn.
+    seen : float array (n,) [px]. Light that each gives to the pictures, where all
+        are drawn.
     pictures : list of (DepthView, Camera, int8 array). The last is what its pixels
         show, see `SkyColors.parts`.
     """
@@ -57,7 +52,7 @@ def unveiled(scene, sky, seen, pictures):
     splats = scene.splats.take(rest)
     alone, near = Rasterizer(prepare(splats)), NEAR / scene.ground_frame.meters_per_unit
     light, color = np.zeros((len(rest), 3)), np.zeros((len(rest), 3))
-    for view, camera, part in pictures[:: every_of(pictures)]:
+    for view, camera, part in pictures:
         height, width = part.shape
         camera = camera.resized(width, height)
         weight = alone.weigh(camera, near, part, EVERY)[:, :3]

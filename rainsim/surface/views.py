@@ -13,7 +13,7 @@ from rainsim.scene.cameras import look_at, resize_to
 from rainsim.scene.view import lens_array
 
 MOST_CAMERAS = 96  # of the capture, evenly spaced, that are asked
-WIDTH = 324  # px of their depth pictures
+WIDTH, AT_ONCE = 324, 16  # px of their depth pictures; how many are drawn at once
 NEAR = 0.05  # m from a camera, within which nothing is drawn
 THIN = 0.1  # of its second axis, that a splat is thick: then its plane tells the depth
 OPAQUE = np.float32(0.7)  # alpha from which a pixel shows a surface
@@ -93,7 +93,6 @@ def depth_views(scene, cameras, rasterizer):
     thin = has_thin_splats(scene.splats)
     cameras = [resize_to(camera, WIDTH) for camera in cameras]
     near = NEAR / frame.meters_per_unit
-    pictures = [rasterizer.draw(camera, near, depth="median") for camera in cameras]
 
     def view(camera, layers):
         light = linear(layers.color / np.maximum(layers.alpha, np.float32(0.5))[..., None])
@@ -111,17 +110,19 @@ def depth_views(scene, cameras, rasterizer):
             light.astype(np.float32), plain,
         )  # fmt: skip
 
-    return of_each(view, cameras, pictures)
+    views = []
+    for first in range(0, len(cameras), AT_ONCE):
+        some = cameras[first : first + AT_ONCE]
+        drawn = [rasterizer.draw(camera, near, depth="median") for camera in some]
+        views += of_each(view, some, drawn)
+    return views
 
 
 def leave_out_sky(views, sky):
     """Write into the views that pixels of the sky, bool (height, width) each, show no surface."""
-
-    def leave_out(view, shown):
+    for view, shown in zip(views, sky, strict=True):
         view.depth[shown] = np.inf
         ndimage.minimum_filter(view.depth, 3, output=view.least)
-
-    of_each(leave_out, views, sky)
 
 
 def _plainness(light):
