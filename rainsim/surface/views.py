@@ -13,7 +13,7 @@ from rainsim.scene.cameras import look_at, resize_to
 from rainsim.scene.view import lens_array
 
 MOST_CAMERAS = 96  # of the capture, evenly spaced, that are asked
-WIDTH, AT_ONCE = 324, 16  # px of their depth pictures; how many are drawn at once
+WIDTH, AT_ONCE = 324, 8  # px of their depth pictures; how many are drawn at once
 NEAR = 0.05  # m from a camera, within which nothing is drawn
 THIN = 0.1  # of its second axis, that a splat is thick: then its plane tells the depth
 OPAQUE = np.float32(0.7)  # alpha from which a pixel shows a surface
