@@ -5,7 +5,9 @@ Exit codes: 0 done, 1 the run failed, 2 wrong usage or values, 130 interrupted.
 
 from __future__ import annotations
 
+import atexit
 import errno
+import gc
 
 import click
 
@@ -121,4 +123,5 @@ for _command in (
 
 def main():
     """Run the command line; the entry of `rainsim` and of `python -m rainsim`."""
+    atexit.register(gc.freeze)  # else Python looks through all objects again before it ends
     cli(prog_name="rainsim")

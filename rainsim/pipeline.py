@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import bisect
 from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 from rainsim.actors.footprint import with_footprints
@@ -14,6 +15,7 @@ from rainsim.backend import free_device_memory, on_backend
 from rainsim.errors import ParameterError
 from rainsim.io import cache
 from rainsim.io.allocator import trim
+from rainsim.jit import get_num_threads, may_run_beside, set_threads
 from rainsim.render.first_view import view_of_water
 from rainsim.render.labels import without_flow
 from rainsim.render.leaving import leaving_notes
@@ -129,7 +131,7 @@ class FrameSequence:
         self._renderer = SequenceRenderer(
             scene, terrain, cameras, config, layers, backend, optics, exr
         )
-        self._water, self._state, self._steps = None, None, 0
+        self._water, self._state, self._steps, self._begun = None, None, 0, None
 
     @property
     def next(self):
@@ -143,6 +145,9 @@ class FrameSequence:
             return
         if tell is not None and self._water is None:
             tell("light", 0, 1)
+        is_first = self._water is None and self._ground is None and self.states is None
+        if is_first and self.backend == "cpu" and get_num_threads() > 1 and may_run_beside():
+            self._begun = _begun(simulate(self.terrain, self.config))
         for picture, report in self._renderer.render(self._states_of(list(indices), tell)):
             yield picture, report if self.exr is None else replace(report, exr=self.exr)
 
@@ -174,13 +179,25 @@ class FrameSequence:
         self._water = self._state = None  # their memory is free for what follows
         if leg is None:
             _, simulate_on_backend = on_backend(self.backend)
-            self._water, self._steps = simulate_on_backend(self.terrain, self.config), 0
+            begun, self._begun, self._steps = self._begun, None, 0
+            self._water = begun or simulate_on_backend(self.terrain, self.config)
             return
         made = self._ground.terrain
         terrain = self._renderer.take_ground(lambda: made(self.scene, leg), time)
         trim()
         self._leg, self._steps = leg, leg.start(self.config)
         self._water = simulate(terrain, self.config, first=self._steps)
+
+
+def _begun(states):
+    """Return an iterator of states; the first, which takes one core, is found beside the light."""
+    first = ThreadPoolExecutor(1, initializer=set_threads, initargs=(1,)).submit(next, states)
+
+    def all_states():
+        yield first.result()
+        yield from states
+
+    return all_states()
 
 
 def _shown_at(state, index):

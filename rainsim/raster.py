@@ -24,8 +24,8 @@ from rainsim.splatting import project
 from rainsim.splatting.blend import blend_tiles
 from rainsim.splatting.level_choice import choose_levels
 from rainsim.splatting.prepared import LANES, PreparedSplats, prepare, select
-from rainsim.splatting.tiles import RECORD_BITS, RECORD_MASK, list_tiles, tile_starts
-from rainsim.splatting.weigh import weigh_tiles
+from rainsim.splatting.tiles import RECORD_BITS, list_tiles, tile_starts
+from rainsim.splatting.weigh import add_weights, weigh_tiles
 
 __all__ = ["Layers", "PreparedSplats", "Rasterizer", "prepare", "rasterize", "select"]
 
@@ -151,10 +151,10 @@ class Rasterizer:
         chunks, start = self._list(camera, near, None, self.prepared.compensate, None)
         weight = np.empty((start[-1], 4), np.float32)
         weigh_tiles(self._record, self._entry, start, camera.width, part, step, weight)
-        record = (self._entry[: start[-1]] & RECORD_MASK).astype(np.int64)
-        splat = self.prepared.order[chunks[record // LANES] * LANES + self._lane[record]]
-        count = len(self.prepared.order)
-        return step * step * np.stack([np.bincount(splat, one, count) for one in weight.T], -1)
+        light = np.zeros((len(self.prepared.order), 4))
+        add_weights(self._entry, chunks, self._lane, self.prepared.order, weight, light)
+        light *= step * step
+        return light
 
     def _blend(self, camera, start, background, halfway, drop_last):
         """Return the `Layers` of the listed splats and, if asked for, each pixel's halfway one."""

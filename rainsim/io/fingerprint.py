@@ -6,6 +6,7 @@ versions of rainsim and its libraries. Names of paths, hosts and systems have no
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import platform
@@ -48,6 +49,7 @@ def hash_of_file(path):
     return digest.hexdigest()
 
 
+@functools.cache
 def versions(names=LIBRARIES):
     """Return the versions of Python and of libraries, None for those that are not there."""
     found = {"python": platform.python_version()}

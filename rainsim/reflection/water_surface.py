@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
+from rainsim.io import cache
 from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, thorough_kernel
 
 GRASS_HEIGHT = 0.05  # m of water that closes over a lawn
@@ -54,8 +55,8 @@ def fine_relief(terrain):
     relief moves the drawn rim by less than a millimetre of depth; the solver's bed has none.
     """
     shape, spacing = terrain.grid.shape, terrain.grid.spacing
-    found = _reliefs.get((shape, spacing))
-    if found is None:
+
+    def made():
         rng, relief = np.random.Generator(np.random.PCG64(0)), np.zeros(shape)
         for width in RELIEF_WIDTHS:
             part = rng.normal(size=shape)
@@ -64,7 +65,12 @@ def fine_relief(terrain):
             part /= part.std()
             relief += part
         relief *= RELIEF / math.sqrt(len(RELIEF_WIDTHS))
-        found = _reliefs[shape, spacing] = relief.astype(np.float32)
+        return {"relief": relief.astype(np.float32)}
+
+    found = _reliefs.get((shape, spacing))
+    if found is None:
+        found = cache.kept_arrays("relief", made, shape, spacing)["relief"]
+        _reliefs[shape, spacing] = found
     return found
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from rainsim.io import cache
 from rainsim.shading import wetness
 from rainsim.shading.bodies import BodyMap, body_map
 from rainsim.shading.surface_point import GroundMaps
@@ -51,7 +52,9 @@ class WetGround:
     @cached_property
     def standing(self):
         """The smooth bodies that stand on the ground, see `body_map`."""
-        return body_map(self.terrain)
+        t = self.terrain
+        place = t.bed, t.top, t.underside, t.tops.index, t.grid
+        return cache.kept_arrays("bodies", lambda: {"map": body_map(t)}, *place)["map"]
 
     def wet(self, now):
         """Find how wet the ground is at the settings of one time."""

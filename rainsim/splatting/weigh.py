@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from rainsim.constants import HALF, ONE, QUARTER, ZERO
-from rainsim.jit import TAKERS, cpu_kernel, none_taken, prange, take_next
+from rainsim.jit import TAKERS, cpu_kernel, none_taken, prange, serial_kernel, take_next
 from rainsim.numerics.approximations import exp_minus
 from rainsim.splatting.lanes import MAX_ALPHA, TRANSMITTANCE_STOP
+from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import MIN_ALPHA_LOG2, R_CONIC, R_LEVEL, R_U, R_V, TILE
 from rainsim.splatting.tiles import DIGITS, RECORD_MASK, sort_keys
 
@@ -91,3 +92,22 @@ def weigh_tiles(record, entry, start, width, part, step, weight_out):
                 weight_out[k, 0], weight_out[k, 1] = first, second
                 weight_out[k, 2], weight_out[k, 3] = total - first - second, whole
             tile = take_next(taken)
+
+
+@serial_kernel
+def add_weights(entry, chunks, lane, order, weight, light_out):
+    """Add the weights of entries to the sums of their splats, in the order of the entries.
+
+    entry : uint64 array. The sorted lists of `weigh_tiles`.
+    chunks : int64 array. Those in sight, see `Rasterizer`.
+    lane : uint8 array. Place in its chunk of each record.
+    order : int32 array (n,). Splat of each prepared one.
+    weight : float32 array (entries, 4)
+    light_out : float64 array (n, 4)
+    """
+    for k in range(len(weight)):
+        if max(weight[k, 0], weight[k, 2], weight[k, 3]) > ZERO:  # many are hidden
+            o = np.int64(entry[k] & RECORD_MASK)
+            n = order[chunks[o // LANES] * LANES + lane[o]]
+            for part in range(4):
+                light_out[n, part] += weight[k, part]

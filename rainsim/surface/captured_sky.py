@@ -11,6 +11,7 @@ import numpy as np
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
+from rainsim.numerics.blocks import of_each
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 
 ROWS, COLUMNS = 18, 72  # of the map: 5 degrees of elevation and of azimuth
@@ -101,7 +102,7 @@ class SkyColors:
         """
         if self.color is None:
             return [np.full(view.depth.shape, -1, np.int8) for view in views]
-        return [self._parts(*pair) for pair in zip(views, self.exposure, strict=True)]
+        return of_each(self._parts, views, self.exposure)
 
     def no_surface(self, views, parts):
         """Return the masks of pixels in which no surface is sought; `parts` are those of `parts`.
@@ -110,7 +111,7 @@ class SkyColors:
         """
         if self.color is None or _is_grey(self.color.reshape(-1, 3)):
             return [part > 0 for part in parts]
-        return [self._alike(view, e)[0] for view, e in zip(views, self.exposure, strict=True)]
+        return [near for near, _, _ in of_each(self._alike, views, self.exposure)]
 
     def _alike(self, view, exposure):
         """Return which pixels have the sky's colour, by how much more, and their sine of height."""
@@ -209,8 +210,8 @@ def _texels(direction):
 
 def _seen(views):
     """Return camera, texel and logarithm of the colour (3) of what may be sky, of each texel."""
-    found = [], [], []
-    for n, view in enumerate(views):
+
+    def seen(n, view):
         direction = directions(view)
         likely = _likely(view, direction)
         texel = _texels(direction)[likely]
@@ -218,13 +219,13 @@ def _seen(views):
         order = np.argsort(texel, kind="stable")
         texel, color = texel[order], color[order]
         first = np.flatnonzero(np.diff(texel, prepend=-1))
-        for start, stop in zip(first, np.append(first[1:], len(texel)), strict=False):
-            if stop - start >= LEAST_PIXELS:
-                one = n, texel[start], np.median(color[start:stop], axis=0)
-                for values, value in zip(found, one, strict=True):
-                    values.append(value)
-    camera, texel, color = found
-    return np.array(camera, int), np.array(texel, int), np.array(color).reshape(-1, 3)
+        ends = zip(first, np.append(first[1:], len(texel)), strict=False)
+        return [(n, texel[start], *np.median(color[start:stop], axis=0))
+                for start, stop in ends if stop - start >= LEAST_PIXELS]  # fmt: skip
+
+    found = [one for some in of_each(seen, range(len(views)), views) for one in some]
+    camera, texel, *color = np.array(found, float).reshape(-1, 5).T
+    return camera.astype(int), texel.astype(int), np.stack(color, -1).astype(np.float32)
 
 
 def _median_map(texel, seen):

@@ -204,9 +204,9 @@ class _Voxels:
         """Add the samples of a view to the sums of their voxels."""
         room = self._count + view.depth.size
         if room > len(self._keys):
-            size = 2 * room
-            self._keys = np.concatenate([self.keys, np.empty(size - self._count, np.int64)])
-            self._sums = np.concatenate([self.sums, np.zeros((size - self._count, SUMS))])
+            size, keys, sums = 2 * room, self.keys, self.sums
+            self._keys, self._sums = np.empty(size, np.int64), np.zeros((size, SUMS))
+            self._keys[: len(keys)], self._sums[: len(sums)] = keys, sums
             self._table = np.full(1 << (2 * size).bit_length(), -1, np.int64)
             fill_table(self.keys, self._table)
         self._count = add_view(

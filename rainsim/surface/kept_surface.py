@@ -18,7 +18,7 @@ from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.ground_picture import ground_picture
 from rainsim.surface.ground_shade import GroundShade, ground_shade
-from rainsim.surface.unveiled import Unveiled, unveiled
+from rainsim.surface.unveiled import MOST_PICTURES, Unveiled, unveiled
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
 from rainsim.surface.wall_parts import laid_on_walls
 
@@ -126,10 +126,13 @@ def find_surface(scene, step=lambda: None):
     if colors.color is not None:
         pictures = list(zip(views, cameras, parts, strict=True))
         alone = _alone(near, surface)
-        sky, aloft = _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle)
+        every = -(-len(pictures) // MOST_PICTURES)
+        sky, aloft, seen = _sky_splats(
+            scene, rasterizer, pictures, every, colors, position, alone, middle
+        )
         sky &= good
         if sky.any():
-            bare, bared = unveiled(scene, sky, rasterizer, pictures)
+            bare, bared = unveiled(scene, sky, seen, pictures[::every])
             sky |= bare & good
         casters = good & ~(sky & alone)  # what looks like sky on a thing throws the thing's shade
     step()
@@ -256,8 +259,10 @@ def splat_normals(scene, found, sky):
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
 
 
-def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
+def _sky_splats(scene, rasterizer, pictures, every, colors, position, alone, middle):
     """Return which splats are sky, bool (n,), and which may be: `aloft` of `Found`.
+
+    And the light that each gives to `every` so many pictures, (n,) [px].
 
     The light that a splat gives to pixels that show the sky, and to those that show something else,
     tells it. Its own colour tells little: splats of a trained sky lie before one another, and some
@@ -266,15 +271,22 @@ def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
     show either: they count against a splat, but not against one as bright as the sky. What the sky
     hides in the pictures, of any colour, would come to light once the sky is left out: needles.
     """
-    frame, light = scene.ground_frame, np.zeros((len(position), 4))
+    frame, light, asked = scene.ground_frame, np.zeros((len(position), 4)), np.zeros(len(position))
     lit, veiled = np.zeros((2, len(position)), np.int16)  # cameras
-    for view, camera, part in pictures:
+    for n, (view, camera, part) in enumerate(pictures):
         height, width = view.depth.shape
         camera = camera.resized(width, height)
         one = rasterizer.weigh(camera, NEAR / frame.meters_per_unit, part, EVERY)
-        light += one
-        lit += one[:, 0] + one[:, 2] > SPECK
-        veiled += (one[:, 3] > SPECK) & (one[:, 1] < VEILED * one[:, 3])
+
+        def add(some, n=n, one=one):
+            on_land, on_sky, on_rim, before = one[some].T
+            light[some] += one[some]
+            lit[some] += on_land + on_rim > SPECK
+            veiled[some] += (before > SPECK) & (on_sky < VEILED * before)
+            if n % every == 0:
+                asked[some] += on_land + on_sky + on_rim
+
+        in_blocks(add, len(position))
     land, sky, beside, before_sky = light.T
     seen = land + sky + beside
     with np.errstate(invalid="ignore"):  # 0 / 0 of those that no camera sees, and absurd splats
@@ -295,4 +307,4 @@ def _sky_splats(scene, rasterizer, pictures, colors, position, alone, middle):
     unseen = (before_sky + seen == 0) & alone & (off < SAME)
     aloft = (land <= sky) & (before_sky > 0)
     found |= ((likely | hidden | unseen) & (high > 0)) | (needle & (high > BELOW))
-    return found, aloft
+    return found, aloft, asked

@@ -39,22 +39,22 @@ class Unveiled(NamedTuple):
         return replace(splats, sh=sh)
 
 
-def unveiled(scene, sky, rasterizer, pictures):
+def unveiled(scene, sky, seen, pictures):
     """Return which other splats lie bare before the sky without those of it, and `Unveiled`.
 
     sky : bool array (n,). Splats that are left out.
-    rasterizer : Rasterizer. Draws all splats.
+    seen : float array (n,) [px]. Light that each gives to the pictures, where all
+        are drawn.
     pictures : list of (DepthView, Camera, int8 array). The last is what its pixels
         show, see `SkyColors.parts`.
     """
     rest = np.flatnonzero(~sky)
     splats = scene.splats.take(rest)
     alone, near = Rasterizer(prepare(splats)), NEAR / scene.ground_frame.meters_per_unit
-    light, color, seen = np.zeros((len(rest), 3)), np.zeros((len(rest), 3)), np.zeros(len(rest))
-    for view, camera, part in pictures[:: -(-len(pictures) // MOST_PICTURES)]:
+    light, color = np.zeros((len(rest), 3)), np.zeros((len(rest), 3))
+    for view, camera, part in pictures:
         height, width = part.shape
         camera = camera.resized(width, height)
-        seen += rasterizer.weigh(camera, near, part, EVERY)[rest, :3].sum(axis=1)
         weight = alone.weigh(camera, near, part, EVERY)[:, :3]
         light += weight
         land = weight[:, 0] + weight[:, 2]
@@ -63,7 +63,7 @@ def unveiled(scene, sky, rasterizer, pictures):
         pixel = row.astype(int).clip(0, height - 1), column.astype(int).clip(0, width - 1)
         color[lit] += land[lit, None] * view.light[pixel]
     total, land = light.sum(axis=1), light[:, 0] + light[:, 2]
-    hidden = np.where(total > LEAST, 1 - seen / np.maximum(total, LEAST), 0)
+    hidden = np.where(total > LEAST, 1 - seen[rest] / np.maximum(total, LEAST), 0)
     bare = np.zeros(len(sky), bool)
     bare[rest] = (hidden > HALF) & (light[:, 1] > land)
     which = np.flatnonzero((hidden > HARDLY) & (land > 0))

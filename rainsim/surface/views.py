@@ -7,12 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from rainsim.numerics.blocks import of_each
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 from rainsim.scene.cameras import look_at, resize_to
 from rainsim.scene.view import lens_array
 
 MOST_CAMERAS = 96  # of the capture, evenly spaced, that are asked
-WIDTH = 324  # px of their depth pictures
+WIDTH, AT_ONCE = 324, 8  # px of their depth pictures; how many are drawn at once
 NEAR = 0.05  # m from a camera, within which nothing is drawn
 THIN = 0.1  # of its second axis, that a splat is thick: then its plane tells the depth
 OPAQUE = np.float32(0.7)  # alpha from which a pixel shows a surface
@@ -90,10 +91,10 @@ def depth_views(scene, cameras, rasterizer):
     """
     frame, unit = scene.ground_frame, np.float32(scene.ground_frame.meters_per_unit)
     thin = has_thin_splats(scene.splats)
-    views = []
-    for camera in cameras:
-        camera = resize_to(camera, WIDTH)
-        layers = rasterizer.draw(camera, NEAR / frame.meters_per_unit, depth="median")
+    cameras = [resize_to(camera, WIDTH) for camera in cameras]
+    near = NEAR / frame.meters_per_unit
+
+    def view(camera, layers):
         light = linear(layers.color / np.maximum(layers.alpha, np.float32(0.5))[..., None])
         plain = _plainness(light)
         share = 1.0 if thin else 0.5 + 0.5 * np.clip(2 * plain - 1, 0, 1)
@@ -101,13 +102,19 @@ def depth_views(scene, cameras, rasterizer):
             depth = layers.depth + share * (layers.plane_depth - layers.depth)
         depth = np.where(layers.alpha > OPAQUE, depth * unit, np.float32(np.inf))
         placed = frame.camera_in_ground(camera)
-        views.append(DepthView(
+        return DepthView(
             np.ascontiguousarray(placed.camera_from_world[:3], np.float32),
             placed.position.astype(np.float32),
             lens_array(camera),
             depth.astype(np.float32), np.empty(depth.shape, np.float32),
             light.astype(np.float32), plain,
-        ))  # fmt: skip
+        )  # fmt: skip
+
+    views = []
+    for first in range(0, len(cameras), AT_ONCE):
+        some = cameras[first : first + AT_ONCE]
+        drawn = [rasterizer.draw(camera, near, depth="median") for camera in some]
+        views += of_each(view, some, drawn)
     return views
 
 

@@ -325,7 +325,7 @@ def test_pictures_of_kept_results_are_the_same(folder, monkeypatch):
 
     fresh, again = frames(), frames()
     kinds = sorted(path.name.partition("-")[0] for path in folder.iterdir())
-    assert kinds == ["catchments", "exposure", "skyline", "terrain"]
+    assert kinds == ["bodies", "catchments", "exposure", "relief", "skyline", "terrain"]
     monkeypatch.setenv("RAINSIM_CACHE", "off")
     for run in (again, frames()):
         for (picture, ledger), (first, account) in zip(run, fresh, strict=True):

@@ -10,7 +10,7 @@ from rainsim.constants import SH_0
 from rainsim.numerics.srgb import linear
 from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.types import GroundFrame, Scene
-from rainsim.surface.unveiled import unveiled
+from rainsim.surface.unveiled import EVERY, unveiled
 from scenes import looking
 
 SHOWN = np.float32([0.6, 0.3, 0.2])  # what the pictures show
@@ -34,7 +34,8 @@ def found(sky):
     part[:, 32:] = 1
     view = SimpleNamespace(light=np.broadcast_to(linear(SHOWN), (64, 64, 3)))
     scene = Scene("veil", splats, (camera,), frame, None, "")
-    bare, what = unveiled(scene, sky, Rasterizer(prepare(splats)), [(view, camera, part)])
+    seen = Rasterizer(prepare(splats)).weigh(camera, 0.05, part, EVERY)[:, :3].sum(axis=1)
+    bare, what = unveiled(scene, sky, seen, [(view, camera, part)])
     return splats, bare, what
 
 
