@@ -94,14 +94,16 @@ class Passes:
     def _light_drops(self, picture, depth):
         return self._drop_light.find(picture, depth, self.tables)
 
-    def _find_water(self, depth, surface):
+    def _find_water(self, depth, surface, scene):
         tables, grid = self.tables, pixel_grid(depth.shape)
         seen = tuple(self._array(name, *depth.shape) for name in ("hit", "coverage"))
         ray_water.meet_water[grid](
             depth, tables.view, self._water_map(surface), surface.highest, tables["cover"], *seen
         )
         if len(tables.tops.form):
-            wet_tops.meet_tops[grid](depth, tables.view, tables.tops, tables["off_ground"], *seen)
+            wet_tops.meet_tops[grid](
+                depth, tables.view, tables.tops, scene.shading.off_ground, *seen
+            )
         return seen
 
     def _water_map(self, surface):
@@ -117,7 +119,7 @@ class Passes:
         (height, width), (wide, high) = depth.shape, screen_space.PATCH
         distance, tables = self._array("distance", height, width), self.tables
         screen_space.find_hits[(-(-width // wide), -(-height // high)), screen_space.PATCH](
-            *seen, *tall, tables.view, tables["settings"], mirrors.range, distance
+            *seen, *tall, tables.view, tables.march, mirrors.range, distance
         )
         return distance, mirrors, tall[0], Ripples(*ripples)
 
@@ -127,23 +129,23 @@ class Passes:
         water_shading.shade_water[pixel_grid(depth.shape)](
             *seen, distance, Background(picture, below, depth), tall, tables.view,
             self._water_map(self._surface), tables.tops, ripples, tables["environment"],
-            tables["gloss"], tables["settings"], mirrors, optics_of(methods, tables["sun"]), shown,
+            tables["gloss"], tables.march, mirrors, optics_of(methods, tables["sun"]), shown,
         )  # fmt: skip
         return shown
 
     def _light_rain(self, drop_light):
         return RainLight(*drop_light, self.tables["air"])
 
-    def _add_glare(self, shown, ground_camera, render):
+    def _add_glare(self, shown, ground_camera, brightness, render):
         if render.glare == "off":
             return shown
-        return self._glare.added(shown, self.tables["brightness"], ground_camera.fx)
+        return self._glare.added(shown, np.float32(brightness), ground_camera.fx)
 
-    def _compose(self, dazzling, depth, rain_alpha, splash_alpha, fog, rain_light):
+    def _compose(self, dazzling, depth, rain_alpha, splash_alpha, fog, rain_light, brightness):
         image = self._array("image", *dazzling.shape, kind=np.uint8)
         compose[pixel_grid(depth.shape)](
             dazzling, depth, RainCover(rain_alpha, splash_alpha, fog), rain_light,
-            self.tables.view, self.tables["brightness"], image,
+            self.tables.view, np.float32(brightness), image,
         )  # fmt: skip
         return image
 
