@@ -60,11 +60,9 @@ def lines_of_rooms():
 @pytest.mark.parametrize("room", sorted(ROOMS))
 def test_a_room_keeps_its_budget_of_lines_and_the_budget_falls_with_the_room(room):
     lines, budget = lines_of_rooms().get(room, 0), ROOMS[room]
-    place = f'"{room}" in tests/house/room_lines.json'
-    assert lines <= budget, (
-        f"{lines} lines; delete some, or raise {place} from {budget} and say for what in the commit"
-    )
-    assert lines >= budget - SLACK, f"{lines} lines: lower {place} from {budget} to that"
+    entry = f"its {budget} in tests/house/room_lines.json"
+    assert lines <= budget, f"{room}: {lines} lines; delete some, or raise {entry} and say for what"
+    assert lines >= budget - SLACK, f"{room}: {lines} lines; lower {entry}"
 
 
 def test_each_room_has_a_budget():

@@ -8,15 +8,7 @@ import pytest
 from made_frames import passes_without
 from rainsim.render import layers
 from rainsim.render.aov import AOVS
-from rainsim.render.frame import (
-    INPUTS,
-    PASSES,
-    TRANSIENT,
-    Frame,
-    Pass,
-    is_same,
-    passes_to,
-)
+from rainsim.render.frame import INPUTS, PASSES, TRANSIENT, Frame, Pass, is_same, passes_to
 from rainsim.render.passes import Passes
 
 MADE = (
