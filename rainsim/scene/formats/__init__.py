@@ -16,7 +16,8 @@ from rainsim.io.files import require_file
 from rainsim.scene.activate import MAX_BROKEN_SHARE
 from rainsim.scene.types import Splats
 
-SUFFIXES = (".ply", ".splat", ".spz", ".sog", ".glb")  # usual names, by which folders are listed
+# Usual endings, by which the splat file of a folder is found.
+SUFFIXES = (".ply", ".splat", ".spz", ".sog", ".glb")
 META = "meta.json"  # of an unbundled SOG
 START = 1 << 17  # bytes at the beginning of a file by which its format is recognised
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")  # by which its library goes
