@@ -173,8 +173,8 @@ def light_up(renderer, method, step):
     """Find the light that the water drawn last mirrors by another method of reflection."""
     frame, passes = renderer.frame, renderer.passes
     others = {"methods": replace(frame["methods"], reflections=method), "mirror_step": step}
-    mirrors = passes.mirror(*frame.values("mirror", **others))
-    passes.reflect(*frame.values("reflection", mirrors=mirrors, **others))
+    mirrors = frame.call(passes.mirror, **others)
+    frame.call(passes.reflect, mirrors=mirrors, **others)
 
 
 def _set(renderer, settings, width):

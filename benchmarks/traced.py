@@ -101,13 +101,13 @@ def trace_reflections(renderer):
     """Let a renderer of the CPU trace what water mirrors in all its frames; return it."""
     rays = RayScene(renderer.conductor.wet_scene)
 
-    def reflect(seen, _mirrors, ripples, tops, picture, depth, clearance, _tall, view, *_):
+    def reflect(seen, ripples, tops, view):
         if len(seen):
             tilt(seen, *ripples, tops)
             traced_light(seen.record, view, rays.trace, seen.light, seen.source)
         return seen
 
-    renderer.passes.work |= {"mirror": lambda *_: {}, "reflection": reflect}
+    renderer.passes.work |= {"mirror": lambda: {}, "reflection": reflect}
     return renderer
 
 

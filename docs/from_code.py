@@ -104,14 +104,6 @@ def presets():
     return "\n".join(parts)
 
 
-def layers():
-    """Return the table of layers."""
-    from rainsim.render.aov import AOVS
-
-    rows = [(f"`{name}`", aov.kind, aov.unit, aov.what) for name, aov in AOVS.items()]
-    return table(("layer", "kind", "unit", "what"), rows)
-
-
 def variables():
     """Return the table of environment variables."""
     return table(("variable", "meaning"), [(f"`{n}`", m) for n, m in VARIABLES.items()])
@@ -287,7 +279,7 @@ def contents():
 
 PARTS = {
     "contents": contents,
-    "commands": command_pages, "keys": keys, "presets": presets, "layers": layers,
+    "commands": command_pages, "keys": keys, "presets": presets,
     "variables": variables, "exit codes": exit_codes, "classes": classes, "formats": formats,
     "names": names, "counts": counts,
 }  # fmt: skip

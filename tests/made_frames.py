@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from rainsim.config.settings import Config
+from rainsim.render.frame import PASSES, parameters_of
+from rainsim.render.layers import LAYER_PASSES
 from rainsim.render.report import FrameReport
 from scenes import tiny_scene
 
@@ -62,3 +64,12 @@ class MadeUpFrames:
         except FileExistsError:
             return False
         return True
+
+
+def passes_without(work):
+    """Return the passes that a backend does not compute; the others read what they say."""
+    reads = {each.name: set(each.reads) for each in (*PASSES, *LAYER_PASSES)}
+    for name, compute in work.items():
+        more = set(parameters_of(compute)) - reads[name]
+        assert not more, f"add {more} to what the pass {name!r} reads (rainsim/render/frame.py)"
+    return set(reads) - set(work)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from rainsim.shading.composite import FOG_END
+
 FOG_STEPS = 96  # even steps of depth at which the optical depth is tabled
-LAST_DEPTH, BEYOND, OPTICAL_DEPTH = 0, 1, 2  # places in a fog table; the last begins the steps
 NO_FOG = np.zeros(FOG_STEPS + 3, np.float32)  # the fog table of dry air
-NO_FOG[LAST_DEPTH] = 1.0
+NO_FOG[FOG_END] = 1.0
 
 
 def fog_extinction(field):

@@ -264,7 +264,7 @@ class Conductor:
 
     # ---- maps of the ground
 
-    def _lay_tables(self, terrain, rings, _wind):
+    def _lay_tables(self, terrain, rings):
         self._ring_reach = ring_reach(RING_DEPTH, *rings[:2])
         self.ground = self._tables(terrain, self.wet_scene.ground.reach, self.ground.film)
 
@@ -303,7 +303,7 @@ class Conductor:
         self.wet_scene.take_tracks(NO_TRACKS)
         return calibration.metering_views(self.wet_scene.scene.cameras, self._first_camera)
 
-    def _meter(self, _metering, _film):
+    def _meter(self):
         """Return the key times and the logarithms of the factors that a camera's meter chooses."""
         times = self.config.key_times()
         factors = np.ones(len(times))
@@ -322,7 +322,7 @@ class Conductor:
             self.notes.append(f"exposure: the meter takes the light {factors[0]:.2f} times{about}")
         return times, np.log(factors)
 
-    def _choose_film(self, _film):
+    def _choose_film(self):
         """Let `auto` choose the reflections of wet ground, by the capture's views at all key times.
 
         All frames of a run agree on it, whichever of them are drawn here.

@@ -15,6 +15,7 @@ buffer, too: `rainsim.render.layers` has the passes that write layers, which run
 
 from __future__ import annotations
 
+import inspect
 import operator
 from typing import NamedTuple
 
@@ -56,7 +57,7 @@ class Pass(NamedTuple):
     name : str. By which a backend knows what to compute, and by which times are
         reported.
     reads : tuple of str. Inputs, and buffers that earlier passes write. A
-        backend's function takes their values in this order.
+        backend's function takes those of them that its parameters are named for.
     writes : tuple of str. Buffers. The function returns them in this order.
     """
 
@@ -84,9 +85,7 @@ PASSES = (
          ("drops",)),
     Pass("streaks", ("drops", "depth", "ground_camera", "ground_camera_end", "time", "render",
                      "field", "surfaces", "drips", "rolls"), ("rain_alpha", "fog")),
-    Pass("list splashes", ("drops", "depth", "field", "surfaces", "drips", "water"),
-         ("splashes",)),
-    Pass("splashes", ("splashes", "rain_alpha", "depth", "ground_camera",
+    Pass("splashes", ("drops", "rain_alpha", "depth", "ground_camera",
                       "ground_camera_end", "time", "interval", "render", "field", "surfaces",
                       "drips", "water", "paving"),
          ("splash_alpha",)),
@@ -142,18 +141,18 @@ class Frame:
         if name in self._writer:
             self._given.add(name)
 
-    def values(self, name, **others):
-        """Return what a pass reads, a list, with some of the values replaced by `others`."""
-        reads = next(each.reads for each in self._passes if each.name == name)
-        return [others[read] if read in others else self._values[read] for read in reads]
+    def call(self, compute, **others):
+        """Return what a pass's function computes, with some values replaced by `others`."""
+        values = self._values | others
+        return compute(*(values[name] for name in parameters_of(compute)))
 
     def make(self, names, work, mark=lambda name: None):
         """Run the passes on which buffers depend, as far as what they read has changed.
 
         names : iterable of str. Of the buffers.
-        work : dict of str to callable. What each pass computes: it takes the
-            values of `reads` and returns those of `writes`. A pass that has no
-            entry writes None.
+        work : dict of str to callable. What each pass computes: its parameters
+            are named for values of `reads`; it returns those of `writes`. A pass
+            that has no entry writes None.
         mark : callable, optional. mark(name) is called after each pass; what it
             raises ends the work. What was finished until then stays.
         """
@@ -162,7 +161,7 @@ class Frame:
             if compute is None:
                 values = (None,) * len(each.writes)
             else:
-                values = compute(*(self._values[name] for name in each.reads))
+                values = self.call(compute)
                 values = values if len(each.writes) > 1 else (values,)
             self._done[each.name] = read  # not before: a pass that raised must run again
             for name, value in zip(each.writes, values, strict=True):
@@ -200,6 +199,12 @@ class Frame:
     def _store(self, name, value):
         self._changes += 1
         self._values[name], self._written[name] = value, self._changes
+
+
+def parameters_of(compute):
+    """Return the names of the parameters of a pass's function, without `self`."""
+    code = inspect.unwrap(compute).__code__
+    return [name for name in code.co_varnames[: code.co_argcount] if name != "self"]
 
 
 def passes_to(names, passes=PASSES, given=frozenset()):

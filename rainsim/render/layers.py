@@ -18,7 +18,7 @@ from rainsim.reflection import water_record
 from rainsim.reflection.water_pass import WetPicture, terms
 from rainsim.render import actor_labels, labels, rain_layers
 from rainsim.render.aov import spread_field
-from rainsim.render.frame import Pass
+from rainsim.render.frame import Pass, parameters_of
 from rainsim.render.shutter import next_camera
 from rainsim.scene.view import pixel_rays
 from rainsim.shading import composite
@@ -45,8 +45,8 @@ def layer(*writes, name=""):
     """
 
     def passed(compute):
-        code, called = compute.__code__, name or f"layer {writes[0]}"
-        LAYER_PASSES.append(Pass(called, code.co_varnames[: code.co_argcount], writes))
+        called = name or f"layer {writes[0]}"
+        LAYER_PASSES.append(Pass(called, tuple(parameters_of(compute)), writes))
         WORK[called] = compute
         return compute
 

@@ -31,7 +31,7 @@ class Passes:
             "splat": _splat, "grade and wet": _grade, "film": _add_film,
             "water surface": _draw_surface, "light of drops": _light_drops,
             "find water": _find_water, "mirror": self.mirror, "reflection": self.reflect,
-            "water": self._lay, "streaks": _fall, "splashes": _splash,
+            "water": self._lay, "streaks": draw_falling, "splashes": draw_landing,
             "light of the rain": _light_rain, "glare": self._add_glare, "compose": _compose,
             **layers.WORK,
         }  # fmt: skip
@@ -40,7 +40,7 @@ class Passes:
         """Forget the mirrored pictures and the depth that is marched."""
         self._mirrors, self._blocks = {}, (None, None)
 
-    def mirror(self, seen, tops, camera, view, scene, methods, step):
+    def mirror(self, seen, tops, camera, view, scene, methods, mirror_step):
         """Return the mirrored pictures that the water asks for, by their places."""
         shows = camera, scene.changes
         if not is_same(shows, self._mirrored):
@@ -50,13 +50,14 @@ class Passes:
         places = water_pass.shared_out(seen, methods.reflections, tops, view)[0]
         kept = self._mirrors
         self._mirrors = {
-            (*place, step): kept.get((*place, step)) or scene.mirrored(camera, *place, step)
+            (*place, mirror_step): kept.get((*place, mirror_step))
+            or scene.mirrored(camera, *place, mirror_step)
             for place, _ in places
         }
-        return {place: self._mirrors[*place, step] for place, _ in places}
+        return {place: self._mirrors[*place, mirror_step] for place, _ in places}
 
     def reflect(
-        self, seen, mirrors, ripples, tops, picture, depth, clearance, _tall, view, scene, methods
+        self, seen, mirrors, ripples, tops, picture, depth, clearance, view, scene, methods
     ):
         """Fill in the slopes and the mirrored light of the water."""
         if not len(seen):
@@ -75,7 +76,7 @@ class Passes:
             self._blocks = wet.depth, water_pass.depth_blocks(wet)
         return self._blocks[1]
 
-    def _lay(self, seen, _reflected, picture, below, depth, view, sun, methods):
+    def _lay(self, seen, picture, below, depth, view, sun, methods):
         """Return the picture with the water on it; overwritten by the next call."""
         without, shown, pixel = self._laid
         if without is picture:  # only the last frame's water is taken away
@@ -87,24 +88,26 @@ class Passes:
         self._laid = picture, shown, seen.pixel
         return shown
 
-    def _add_glare(self, shown, camera, brightness, render):
-        return shown if render.glare == "off" else self._glare.added(shown, camera.fx, brightness)
+    def _add_glare(self, shown, ground_camera, brightness, render):
+        if render.glare == "off":
+            return shown
+        return self._glare.added(shown, ground_camera.fx, brightness)
 
 
 def _splat(camera, capture):
     return capture.layers(camera)
 
 
-def _grade(layers, view, scene, apart):
+def _grade(layers, view, scene, film_apart):
     """Return picture, depth, clearance and cover without what wet ground mirrors."""
-    cover = np.empty(layers.alpha.shape if apart else (0, 0), np.float32)
+    cover = np.empty(layers.alpha.shape if film_apart else (0, 0), np.float32)
     wet = scene.wetted(layers, view, cover)
     return wet.picture, wet.depth, wet.clearance, cover
 
 
-def _add_film(below, depth, clearance, cover, view, camera, scene, ground, _light):
-    wet = WetPicture(below, depth, clearance, view, below)
-    return ground.film.add_to(wet, cover, camera, scene.level_mirrored, scene.sky.gloss).picture
+def _add_film(below, depth, clearance, cover, view, ground_camera, scene, ground):
+    wet, sky = WetPicture(below, depth, clearance, view, below), scene.sky
+    return ground.film.add_to(wet, cover, ground_camera, scene.level_mirrored, sky.gloss).picture
 
 
 def _draw_surface(water, rings, ground):
@@ -122,14 +125,6 @@ def _find_water(depth, view, surface, tops, scene, methods):
     return water_pass.find_water(methods, depth, view, surface, tops, off_ground)
 
 
-def _fall(_listed, *given):
-    return draw_falling(*given)
-
-
-def _splash(_listed, _rain, *given):
-    return draw_landing(*given)
-
-
 def _light_rain(drop_light, air, shown, render):
     """Return the `RainLight` of drops, splashes and air."""
     if render.streaks == "paper":
@@ -138,8 +133,8 @@ def _light_rain(drop_light, air, shown, render):
     return RainLight(*drop_light, air)
 
 
-def _compose(picture, depth, rain_alpha, splash_alpha, fog, light, view, brightness):
+def _compose(dazzling, depth, rain_alpha, splash_alpha, fog, rain_light, view, brightness):
     image = np.empty((*depth.shape, 3), np.uint8)
     cover = RainCover(rain_alpha, splash_alpha, fog)
-    compose(picture, depth, cover, light, view, np.float32(brightness), image)
+    compose(dazzling, depth, cover, rain_light, view, np.float32(brightness), image)
     return image

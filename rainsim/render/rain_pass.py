@@ -15,12 +15,14 @@ from rainsim.particles.streaks import draw_streaks, streak_reach
 from rainsim.rain.dripping import drip_impacts, drips_seen
 
 
-def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips, rolls):
+def draw_falling(
+    depth, ground_camera, ground_camera_end, time, render, field, surfaces, drips, rolls
+):  # fmt: skip
     """Return the share of light that falling drops replace, and the fog of those not drawn.
 
     depth : float32 array (height, width) [m]. Of the picture.
-    camera, camera_end : Camera. In the ground frame, as the shutter opens and
-        closes; None at the end: it stands still.
+    ground_camera, ground_camera_end : Camera. In the ground frame, as the shutter
+        opens and closes; None at the end: it stands still.
     time : float [s]
     render : RenderConfig. Of that time.
     field : RainField or None. None without rain.
@@ -30,7 +32,7 @@ def draw_falling(depth, camera, camera_end, time, render, field, surfaces, drips
     Returns alpha : float32 array (height, width)
         fog : ndarray. See `fog_table`.
     """
-    alpha = np.zeros(depth.shape, np.float32)
+    alpha, camera, camera_end = np.zeros(depth.shape, np.float32), ground_camera, ground_camera_end
     drops, clouds = spray_seen(rolls, camera, time, render.exposure)
     lens = lens_of(camera_end, render)
     if field is None:  # tyres on a wet road throw water while no rain falls
@@ -71,8 +73,9 @@ def draw_spray(drops, depth, camera, camera_end, time, render, alpha_out):
 
 
 def draw_landing(
-    depth, camera, camera_end, time, interval, render, field, surfaces, drips, water, paving
-):
+    depth, ground_camera, ground_camera_end, time, interval, render, field, surfaces, drips, water,
+    paving,
+):  # fmt: skip
     """Return the share of light that splashes replace, ndarray of shape (height, width), float32.
 
     interval : float [s]. From frame to frame.
@@ -83,13 +86,13 @@ def draw_landing(
     alpha = np.zeros(depth.shape, np.float32)
     if field is None:
         return alpha
-    shutter = field, surfaces, camera
+    shutter = field, surfaces, ground_camera
     if render.splashes == "paper":
         paper.draw_gaussians(*shutter, time - interval, time, depth, alpha)
         return alpha
     impacts = drip_impacts(*drips, surfaces, time - LONGEST_LIFE, time + render.exposure)
     draw_splashes(
         *shutter, time, render.exposure, water, WET_FILM * paving, depth, alpha,
-        *lens_of(camera_end, render), more=impacts,
+        *lens_of(ground_camera_end, render), more=impacts,
     )  # fmt: skip
     return alpha

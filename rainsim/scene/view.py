@@ -21,9 +21,6 @@ from rainsim.jit import inlined_function
 class View(NamedTuple):
     """Where a picture was taken from, and through which lens.
 
-    On a device each number is an array of shape (1,): all are sent in one copy. `view_from` reads
-    them.
-
     Kernels read a View only: numba drops writes through a bundle's arrays in parallel loops. A
     parallel kernel's module must import the bundle's class by its name (annotate the argument):
     numba looks the name up there when it takes the loop apart.
@@ -49,11 +46,6 @@ def view_of(camera):
         camera.position.astype(np.float32),
         *(np.float32(n) for n in (camera.fx, camera.fy, camera.cx, camera.cy)),
     )
-
-
-def view_of_arrays(ground_from_camera, eye, lens):
-    """Return the `View` of device arrays; `lens` holds fx, fy, cx, cy [px], of shape (4,)."""
-    return View(ground_from_camera, eye, *(lens[k : k + 1] for k in range(4)))
 
 
 # ---- the pinhole, for arrays
@@ -154,12 +146,6 @@ def edge_planes(camera):
 
 
 # ---- formulas for kernels
-
-
-@inlined_function
-def view_from(view):
-    """Return the `View` whose numbers stand in device arrays, inside a kernel."""
-    return View(view.ground_from_camera, view.eye, view.fx[0], view.fy[0], view.cx[0], view.cy[0])
 
 
 @inlined_function

@@ -71,15 +71,6 @@ def replaces_sky(config):
 
 
 @inlined_function
-def look_from(numbers):
-    """Return the `Look` whose numbers an array holds, as CUDA kernels get them."""
-    return Look(
-        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6],
-        numbers[7],
-    )  # fmt: skip
-
-
-@inlined_function
 def graded(r, g, b, look):
     """Return captured linear colour as it looks under a dull sky: darker and flatter.
 

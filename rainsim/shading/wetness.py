@@ -71,12 +71,6 @@ class OffGroundWetness(NamedTuple):
     porosity: np.float32
 
 
-@inlined_function
-def off_ground_from(numbers):
-    """Return the `OffGroundWetness` that an array holds, as CUDA kernels get it."""
-    return OffGroundWetness(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4])
-
-
 def evaporation_rate(config):
     """Return the rate [m/s] at which wet ground dries under the sky of the settings."""
     cloudiness = config.render.cloudiness

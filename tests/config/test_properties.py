@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from rainsim.config import timeline
 from rainsim.config.preset_files import HUMAN_KEYS, preset_names
 from rainsim.config.settings import Config
+from rainsim.config.tables import SLIDERS
 from rainsim.errors import ParameterError, RainsimError
 from rainsim.render.shutter import FASTEST, FASTEST_TURN, PathMotion
 from rainsim.scene.camera_rule import MOST_FOV
@@ -35,15 +36,9 @@ QUICK, MANY = 60, 5_000
 ATTRIBUTES = [a for a, _ in HUMAN_KEYS.values()]
 ATTRIBUTES += ["terrain", "rain", "frame_range", "threads", "keyframes", "no such setting"]
 
-# Preset keys with values that every rule allows.
-NUMBERS = {
-    "rain_mm_per_hour": (0, 1000), "past_rain_mm": (0, 100), "drying_hours": (0, 24),
-    "wind_speed_m_per_s": (0, 30), "wind_direction_degrees": (-720, 720), "gusts": (0, 0.5),
-    "water_level_m": (-1, 1), "surface_film": (0, 1), "exposure_ms": (0.5, 40),
-    "cloudiness": (0, 1), "streak_strength": (0, 5), "brightness": (0.1, 4),
-    "terrain_spacing_m": (0.005, 0.5),
-}  # fmt: skip
-CHANGING = ["rain_mm_per_hour", "past_rain_mm", "exposure_ms", "cloudiness", "brightness"]
+# Preset keys with values that every rule allows; the two of the sun go together.
+NUMBERS = {s.key: (s.low, s.high) for s in SLIDERS if not s.key.startswith("sun_")}
+NUMBERS |= {"surface_film": (0, 1), "terrain_spacing_m": (0.005, 0.5)}
 GOOD = st.fixed_dictionaries({}, optional={
     **{key: st.floats(*ends, allow_subnormal=False) for key, ends in NUMBERS.items()},
     "seed": st.integers(0, 2**31), "frames": st.integers(1, 1000), "drips": st.booleans(),

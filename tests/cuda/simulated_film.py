@@ -8,7 +8,7 @@ from rainsim.cuda.shading import lamp_images as twin_lamps
 from rainsim.cuda.shading import wet_ground_mirror as twin
 from rainsim.cuda.shading.wet_pass import BLOCK, blocks
 from rainsim.numerics.ripmap import ripmap
-from rainsim.scene.view import View, view_of_arrays
+from rainsim.scene.view import View
 from rainsim.shading import lamp_images, microfacet, sky, wet_ground_mirror
 from rainsim.shading.fresnel import SCHLICK
 from rainsim.shading.lamp_images import LampView
@@ -59,13 +59,13 @@ def test_field_share_and_picture(pictured, rng, poisoned):
         size = F4([0, 0])
     shape = HEIGHT // STEP, WIDTH // STEP
     wanted, found = poisoned((*shape, 3)), poisoned((*shape, 3))
-    view, camera = View(TURN, EYE, *LENS), view_of_arrays(TURN, EYE, LENS)
+    view = View(TURN, EYE, *LENS)
     lobe = microfacet.LOBE
     level, larger = (LevelPicture(atlas, d, lens, forward) for d in (there, depth))
     wet_ground_mirror.mirrored_field(
         view, STEP, np.ones(shape, bool), ground, lobe, level, around, wanted
     )
-    launch(twin.mirrored_field, shape, camera, STEP, ground, lobe, larger, size, around, found)
+    launch(twin.mirrored_field, shape, view, STEP, ground, lobe, larger, size, around, found)
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=1e-5)
     assert wanted.std() > 0.01
     if not pictured:
@@ -87,12 +87,12 @@ def test_lamps_are_mirrored_as_on_the_cpu(rng):
                         (3, 12, 2, 1, 1, 1, 1e-2, 1e-2), (3, 8)).astype(F4)  # fmt: skip
     depth = rng.uniform(3, 30, (40, 70)).astype(F4)
     lens, forward = np.array([30, 30, 33, 3], F4), F4([0, 1])
-    view, camera = View(TURN, EYE, *LENS), view_of_arrays(TURN, EYE, LENS)
+    view = View(TURN, EYE, *LENS)
     shape = HEIGHT // STEP, WIDTH // STEP
     before = rng.uniform(0, 1, (*shape, 3)).astype(F4)
     wanted, found = before.copy(), before.copy()
     exact, larger = (LampView(lamps, d, lens, forward) for d in (depth[:24, :60], depth))
     lamp_images.add_lamps(view, STEP, np.ones(shape, bool), ground, exact, wanted)
-    launch(twin_lamps.add_lamps, shape, camera, STEP, ground, larger, F4([60, 24]), found)
+    launch(twin_lamps.add_lamps, shape, view, STEP, ground, larger, F4([60, 24]), found)
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=1e-5)
     assert (wanted - before).max() > 1e-3

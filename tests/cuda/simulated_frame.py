@@ -7,6 +7,7 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
+from made_frames import passes_without
 from naive import decibel
 from rainsim import simulation
 from rainsim.config.settings import Config, mm_per_hour
@@ -21,6 +22,7 @@ from rainsim.pipeline import FrameSequence, extract_terrain, simulate
 from rainsim.reflection.water_pass import choice_of
 from rainsim.render import aov
 from rainsim.render import renderer as rendering
+from rainsim.render.frame import PASSES
 from rainsim.render.wet_scene import WetScene
 from scenes import lamp_scene, tiny_scene
 
@@ -65,8 +67,11 @@ def test_frames_are_those_of_the_cpu(reflections, least):
     states = [state for state, _ in zip(simulate(terrain, settings), range(2), strict=False)]
     wanted = drawn(rendering.Renderer(scene, terrain, settings, camera), scene, camera, states)
     renderer = twin.Renderer(scene, terrain, settings, camera)
+    assert passes_without(renderer.passes.work) & {p.name for p in PASSES} == {"splat level"}
     splat, launches = renderer.passes.work["splat"], []
-    renderer.passes.work["splat"] = lambda *given: launches.append(1) or splat(*given)
+    renderer.passes.work["splat"] = lambda camera, capture: (
+        launches.append(1) or splat(camera, capture)
+    )
     found = drawn(renderer, scene, camera, states)
     count = len(launches)
     for a, b in zip(found, wanted, strict=True):

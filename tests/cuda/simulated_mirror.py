@@ -6,7 +6,7 @@ import pytest
 from rainsim.cuda import simulated
 from rainsim.cuda.reflection import mirror_choice as levels
 from rainsim.reflection.mirror_choice import LEVEL_STEP, group_levels
-from rainsim.scene.view import view_of_arrays
+from rainsim.scene.view import View
 
 assert simulated()
 HEIGHT, WIDTH = 70, 90
@@ -32,7 +32,7 @@ def test_levels_and_extent_are_those_of_the_cpu(water, name):
     z, coverage = water
     down = np.diag([1, -1, -1]).astype(np.float32)
     eye, lens = np.array([0, 0, 2], np.float32), np.array([1e9, 1e9, 0, 0], np.float32)
-    view, hit = view_of_arrays(down, eye, lens), (2 - z).astype(np.float32)
+    view, hit = View(down, eye, *lens), (2 - z).astype(np.float32)
     choice = levels.LevelChoice(LOWEST)
     served, extent = choice.choose(hit, coverage, view, name)
     shown = coverage > 0

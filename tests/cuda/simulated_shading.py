@@ -35,7 +35,7 @@ from rainsim.reflection.water_record import RECORD
 from rainsim.reflection.water_shading import Background, Optics, Ripples
 from rainsim.reflection.water_surface import WaterMap
 from rainsim.reflection.wet_tops import DRY_TOPS
-from rainsim.scene.view import View, view_of_arrays
+from rainsim.scene.view import View
 from rainsim.shading import composite, glare, sky, wet_ground_mirror, wet_pass
 from rainsim.shading.composite import RainCover, RainLight
 from rainsim.shading.fresnel import EXACT, SCHLICK
@@ -51,9 +51,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 HEIGHT, WIDTH, CELLS = 20, 30, 28
 SPACING, ORIGIN = np.float32(0.1), np.array([-1.4, -1.4], np.float32)
 F4 = np.float32
-
-
-VIEWS = {"view", "camera"}  # a bundle of numbers on the CPU, one of device arrays on the GPU
 
 
 def decibel(a, b, peak=1.0):
@@ -93,7 +90,7 @@ def test_halos_of_lamps(view, poisoned):
     """Lamps of several colours, and sizes of lens one after the other."""
     picture = (0.3 * view.color).astype(F4)
     picture[3, 4], picture[3, 29], picture[17, 11:13] = (90, 9, 0), (4, 70, 30), (8, 8, 50)
-    shown, brightness = cuda.to_device(picture), cuda.to_device(F4([0.7]))
+    shown, brightness = cuda.to_device(picture), F4(0.7)
     twin = cuda_glare.Glare()
     for focal in (26.0, 60.0):
         found = twin.added(shown, brightness, focal)
@@ -105,7 +102,7 @@ def test_halos_of_lamps(view, poisoned):
 
 def test_grade_and_wet(view, poisoned):
     day, around = sky.overcast(), sky.overcast(0.7)
-    look = np.array([0.8, 0.9, 0.8, 1, 0.85, 0.6, 1.3, EXACT], F4)
+    look = Look(*F4([0.8, 0.9, 0.8, 1, 0.85, 0.6, 1.3, EXACT]))
     wetness = np.random.default_rng(2).uniform(0, 1, (CELLS, CELLS, 4)).astype(F4)
     bodies = np.full((CELLS, CELLS, 3), 255, np.uint8)
     bodies[..., 0], bodies[..., 1] = 0, 100  # all that stands is a smooth body
@@ -114,13 +111,11 @@ def test_grade_and_wet(view, poisoned):
     )
     skies = SkyMaps(around, sky.overcast(0.8), day)
 
-    def on_both(damp):
-        """Return the arguments of the CPU's kernel and of the twin."""
+    def given(damp):
+        """Return the arguments of both kernels."""
         ground = GroundMaps(view.bed, wetness * F4(damp), ORIGIN, SPACING, bodies)
-        rain = np.array([damp, 0.2, -0.4, 0.8, 0.3], F4)
-        camera = view_of_arrays(view.turn, view.eye, view.lens)
-        ours = dry, View(view.turn, view.eye, *view.lens), ground, OffGroundWetness(*rain), skies
-        return (*ours, Look(*look)), (dry, camera, ground, rain, skies, look)
+        rain = OffGroundWetness(*F4([damp, 0.2, -0.4, 0.8, 0.3]))
+        return dry, View(view.turn, view.eye, *view.lens), ground, rain, skies, look
 
     shapes = (HEIGHT, WIDTH, 3), *3 * ((HEIGHT, WIDTH),)
     none = np.empty((0, 0), F4)
@@ -129,9 +124,8 @@ def test_grade_and_wet(view, poisoned):
     drawn[:-5, :-3] = True
     for damp, size, apart in ((0.9, whole, True), (0.7, part, False)):
         wanted, found = ([poisoned(shape) for shape in shapes] for _ in range(2))
-        ours, twins = on_both(damp)
-        wet_pass.grade_and_wet(*ours, *wanted[:3], wanted[3] if apart else none)
-        launch(shading.grade_and_wet, size, *twins, *found[:3],
+        wet_pass.grade_and_wet(*given(damp), *wanted[:3], wanted[3] if apart else none)
+        launch(shading.grade_and_wet, size, *given(damp), *found[:3],
                found[3] if apart else found[3][:0])  # fmt: skip
         where = drawn | apart
         np.testing.assert_array_equal(np.isfinite(found[2]), where)
@@ -141,8 +135,8 @@ def test_grade_and_wet(view, poisoned):
         np.testing.assert_allclose(found[3], wanted[3], atol=1e-5)
         assert np.isnan(found[3]).all() != apart
     glossing = [poisoned(shape) for shape in shapes[:3]]
-    wet_pass.grade_and_wet(*on_both(0.9)[0], *glossing, none)
-    wet_pass.grade_and_wet(*on_both(0.9)[0], *wanted[:3], wanted[3])
+    wet_pass.grade_and_wet(*given(0.9), *glossing, none)
+    wet_pass.grade_and_wet(*given(0.9), *wanted[:3], wanted[3])
     assert wanted[3].max() > 0.3 and decibel(glossing[0], wanted[0]) < 50
 
 
@@ -154,9 +148,9 @@ def test_compose(view, poisoned, rng):
     air = F4([0.8] * 3)
     light = view.color * 2, view.depth, RainCover(*alphas, fog), RainLight(drops, around, air)
     wanted, found = (poisoned((HEIGHT, WIDTH, 3), np.uint8) for _ in range(2))
-    composite.compose(*light, View(view.turn, view.eye, *view.lens), F4(1.1), wanted)
-    camera = view_of_arrays(view.turn, view.eye, view.lens)
-    launch(cuda_composite.compose, *light, camera, np.array([1.1], F4), found)
+    shown = *light, View(view.turn, view.eye, *view.lens), F4(1.1)
+    composite.compose(*shown, wanted)
+    launch(cuda_composite.compose, *shown, found)
     difference = np.abs(found.astype(int) - wanted)
     assert difference.max() <= 1 and (difference > 0).mean() < 0.01
     assert wanted.std() > 10
@@ -199,10 +193,7 @@ def test_water_surface(view, pond):
 @pytest.mark.parametrize("reflection, law", [("march", EXACT), ("mirror", SCHLICK)])
 def test_water_light(view, pond, poisoned, rng, reflection, law):
     *_, (surface, over, highest) = pond
-    camera, own = (
-        View(view.turn, view.eye, *view.lens),
-        view_of_arrays(view.turn, view.eye, view.lens),
-    )
+    camera = View(view.turn, view.eye, *view.lens)
     water_map = WaterMap(surface, over, view.exposure, ORIGIN, SPACING)
     highest, cover = F4(surface[over > 0].max()), np.array([0.0005, 0.002], F4)
     rows = np.arange(HEIGHT, dtype=np.int64)
@@ -212,7 +203,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
     noisy = view.depth.copy()  # pixels a little too near make no holes
     noisy[::3, ::3] = np.where(coverage > 0.9, hit - F4(0.02), noisy)[::3, ::3]
     launch(
-        cuda_ray_water.meet_water, noisy, own, water_map, np.array([highest]), cover, hit2,
+        cuda_ray_water.meet_water, noisy, camera, water_map, np.array([highest]), cover, hit2,
         coverage2,
     )  # fmt: skip
     np.testing.assert_allclose(coverage2, coverage, atol=1e-4)
@@ -232,7 +223,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
     np.testing.assert_array_equal(tall, tall2)
     np.testing.assert_array_equal(bounds, bounds2)
     around, sun = sky.overcast(), np.array([0.1, 0.7, 0.7, 9, 8, 7], F4)
-    settings = np.array([0.15, 1.0, 12.0], F4)
+    settings = ssr.MarchSettings(*F4([0.15, 1.0, 12.0]))
     n = int(count.sum())
     pixel, record = np.empty(n, np.int32), np.empty((n, RECORD), F4)
     light, source = poisoned((n, 3)), poisoned(n, np.uint8)
@@ -262,7 +253,7 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
     else:
         screen_space.march_light(
             everything, record, picture, ssr.DepthBlocks(tall, bounds), camera, around,
-            ssr.MarchSettings(*settings), light, source,
+            settings, light, source,
         )  # fmt: skip
         served = np.array([[0, 10, -10], [0, 9, -9]], F4)
     below = rng.uniform(0, 1, picture.shape).astype(F4)
@@ -271,12 +262,12 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
     wanted, found = picture.copy(), poisoned(picture.shape)
     water_shading.lay_water(pixel, record, light, background, camera, optics, wanted)
     distance = poisoned((HEIGHT, WIDTH))
-    launch(cuda_screen.find_hits, hit, coverage, tall, bounds, own, settings, served, distance)
+    launch(cuda_screen.find_hits, hit, coverage, tall, bounds, camera, settings, served, distance)
     assert (np.isfinite(distance) == ((coverage > 0) & (reflection == "march"))).all()
     pictures = (np.stack([0 * m, m]) for m in (mirror, coarse2, mirror_depth))
     mirrors = cuda_mirror.MirrorArrays(served, window, flipped, *pictures)
     launch(
-        cuda_water.shade_water, hit, coverage, distance, background, tall, own, water_map,
+        cuda_water.shade_water, hit, coverage, distance, background, tall, camera, water_map,
         DRY_TOPS, ripples, around, around, settings, mirrors, optics, found,
     )  # fmt: skip
     assert decibel(found, wanted) > 70
@@ -284,22 +275,19 @@ def test_water_light(view, pond, poisoned, rng, reflection, law):
 
 
 def test_signatures_are_those_of_the_cpu():
-    """What the twins leave out is what a list of pixels needs; they add a size and bounds.
-
-    Where the CPU takes a `View`, a twin takes arrays on the device.
-    """
+    """What the twins leave out is what a list of pixels needs; they add a size and bounds."""
     pairs = [
-        (wet_pass.grade_and_wet, shading.grade_and_wet, {"size", *VIEWS}),  # of a mirror's window
+        (wet_pass.grade_and_wet, shading.grade_and_wet, {"size"}),  # of a mirror's window
         # The device fills in every block, and its level picture's arrays are larger than that.
         (
             wet_ground_mirror.mirrored_field,
             cuda_film.mirrored_field,
-            {"wanted", "level_size", *VIEWS},
+            {"wanted", "level_size"},
         ),
         (wet_ground_mirror.add_reflection, cuda_film.add_reflection, set()),
-        (composite.compose, cuda_composite.compose, VIEWS),
+        (composite.compose, cuda_composite.compose, set()),
         (screen_space.keep_tall, cuda_screen.keep_tall, {"bounds_out"}),
-        (ray_water.meet_water, cuda_ray_water.meet_water, {"row_order", "count_out", *VIEWS}),
+        (ray_water.meet_water, cuda_ray_water.meet_water, {"row_order", "count_out"}),
     ]
     for theirs, ours, without in pairs:
         theirs, ours = (list(inspect.signature(f).parameters) for f in (theirs, ours.fn))

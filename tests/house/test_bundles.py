@@ -102,7 +102,7 @@ def test_compiled_functions_do_not_write_through_bundles():
             if is_compiled(function):
                 found = writes_through_bundles(function)
                 faults += [f"{place}, line {line}: {what}" for line, what in found]
-    assert not faults, "\n".join(faults)
+    assert not faults, "write to an argument that ends in _out:\n" + "\n".join(faults)
 
 
 SAMPLE = '''

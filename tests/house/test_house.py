@@ -34,13 +34,14 @@ def test_files_are_short_and_lines_fit(path):
 def test_everything_public_has_a_docstring(path):
     module = tree(path)
     kinds = (ast.FunctionDef, ast.ClassDef)
-    assert ast.get_docstring(module), "the module"
+    assert ast.get_docstring(module), "the module has no docstring"
     for node in module.body:
         if isinstance(node, kinds) and not node.name.startswith("_"):
-            assert ast.get_docstring(node), node.name
+            assert ast.get_docstring(node), f"{node.name} has no docstring"
             for inner in node.body if isinstance(node, ast.ClassDef) else ():
                 if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_"):
-                    assert ast.get_docstring(inner), f"{node.name}.{inner.name}"
+                    name = f"{node.name}.{inner.name}"
+                    assert ast.get_docstring(inner), f"{name} has no docstring"
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())

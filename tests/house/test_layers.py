@@ -114,7 +114,7 @@ def test_the_root_is_a_table_of_contents():
     assert len(files) <= MOST_IN_THE_ROOT
     assert files >= DOORS
     rooms = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    assert files | rooms == set(RANK)
+    assert files | rooms == set(RANK), "each room has its place in ORDER above"
 
 
 @pytest.mark.parametrize("path", MODULES, ids=_name)

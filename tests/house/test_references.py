@@ -11,6 +11,7 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
+import rainsim
 from source import MODULES, PACKAGE, ROOT, TEXTS, functions_in, name_of, nodes, prose, text, tree
 
 REFERENCE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
@@ -84,6 +85,7 @@ def symbols():
                     inside.update(bound(statement))
                 inside |= {n.attr for n in ast.walk(node) if isinstance(n, ast.Attribute)
                            and isinstance(n.value, ast.Name) and n.value.id == "self"}  # fmt: skip
+    names[""] |= set(rainsim.__all__)
     for module in list(names):  # modules are names of their packages
         if module:
             names[module.rpartition(".")[0]].add(module.rpartition(".")[2])

@@ -24,7 +24,7 @@ def test_each_file_of_cuda_has_a_file_of_the_cpu_at_its_path():
     cuda = PACKAGE / "cuda"
     names = {path.relative_to(cuda).as_posix() for path in cuda.rglob("*.py")}
     alone = {name for name in names if not (PACKAGE / name).exists()}
-    assert alone == CUDA_ONLY
+    assert alone == CUDA_ONLY, "move a twin to its CPU file's path; list other files in CUDA_ONLY"
     assert len(names - alone) > 15
 
 

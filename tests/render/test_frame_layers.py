@@ -91,8 +91,8 @@ def test_every_layer_is_documented():
 
     text = (Path(__file__).parents[2] / "docs/layers.md").read_text(encoding="utf-8")
     for name, about in AOVS.items():
-        row = next(line for line in text.splitlines() if line.startswith(f"| `{name}` |"))
-        assert f"| {about.kind} |" in row and about.unit in row, name
+        row = f"| `{name}` | {about.kind} | {about.unit} |"
+        assert row in text, f"docs/layers.md has no row that begins with {row}"
 
 
 @pytest.mark.parametrize("suffix", ["npz", "exr"])

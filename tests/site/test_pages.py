@@ -12,7 +12,6 @@ from benchmarks.__main__ import benchmarks
 from rainsim.cli import cli
 from rainsim.commands.variables import VARIABLES
 from rainsim.config.preset_files import HUMAN_KEYS, preset_names
-from rainsim.render.aov import AOVS
 from site_pages import DOCS, PAGES, ROOT, anchors, blocks, commands, links, name_of, sentences
 
 PICTURES = ".png", ".jpg", ".webp", ".svg"
@@ -124,9 +123,8 @@ def test_every_command_and_option_is_documented(from_code):
     assert not re.search(r"^ {4}|\x08|Example:", plain, re.M)  # text, no code by indentation
 
 
-def test_every_key_layer_variable_and_name_is_documented(from_code):
+def test_every_key_variable_and_name_is_documented(from_code):
     assert re.findall(r"^\| `(\w+)`", from_code.keys(), re.M) == list(HUMAN_KEYS)
-    assert re.findall(r"^\| `(\w+)`", from_code.layers(), re.M) == list(AOVS)
     assert re.findall(r"^\| `(\w+)`", from_code.variables(), re.M) == list(VARIABLES)
     assert re.findall(r"^\| (\d+) ", from_code.exit_codes(), re.M) == ["0", "1", "2", "130"]
     assert re.findall(r"^### (\w+)", from_code.presets(), re.M) == preset_names()

@@ -13,7 +13,7 @@ from rainsim.constants import ZERO
 from rainsim.cuda.driver import Counted
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.reflection.mirror_choice import LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS, mirror_levels
-from rainsim.scene.view import pixel_ray, view_from
+from rainsim.scene.view import pixel_ray
 
 BINS = 4096  # of LEVEL_STEP: 8 m of water heights
 THREADS = 256
@@ -35,13 +35,12 @@ def clear_counts(count_out):
 
 
 @cuda_kernel
-def count_heights(hit, coverage, camera, first_bin, count_out):
+def count_heights(hit, coverage, view, first_bin, count_out):
     """Count the pixels that show water of each height and find the rectangle that holds them.
 
     A block of THREADS threads takes COUNT_ROWS rows of as many columns; its counts are added up in
     shared memory, and each thread adds runs of equal heights at once: level water is one bin.
 
-    camera : View
     count_out : int32 device array (BINS + 4,). Behind the counts the water's
         first column and row, last column and row.
     """
@@ -53,7 +52,6 @@ def count_heights(hit, coverage, camera, first_bin, count_out):
     height, width = coverage.shape
     column = cuda.blockIdx.x * THREADS + tid
     first = cuda.blockIdx.y * COUNT_ROWS
-    view = view_from(camera)
     upper, lower, run, at = height, -1, 0, 0
     if column < width:
         for row in range(first, min(first + COUNT_ROWS, height)):
@@ -91,11 +89,11 @@ class LevelChoice:
         self._count = cuda.device_array(BINS + 4, np.int32)
         self._seen = Counted(BINS + 4, np.int32)
 
-    def choose(self, hit, coverage, camera, name):
+    def choose(self, hit, coverage, view, name):
         """Return the levels, and where water is seen; `group_levels` shares out likewise; waits.
 
         hit, coverage : device array. As `ray_water.meet_water` left them.
-        camera : View. Of device arrays.
+        view : View. Of the camera.
         name : {"auto", "mirror"}. "mirror" takes one level for all water.
         Returns levels : list of tuple of float [m]. The level of each mirror, and
             the heights from which on and below which water looks into it.
@@ -104,7 +102,7 @@ class LevelChoice:
         height, width = coverage.shape
         clear_counts[-(-(BINS + 4) // THREADS), THREADS](self._count)
         count_heights[(-(-width // THREADS), -(-height // COUNT_ROWS)), THREADS](
-            hit, coverage, camera, self._first_bin, self._count
+            hit, coverage, view, self._first_bin, self._count
         )
         seen = self._seen.read(self._count)
         count, extent, levels = seen[:BINS], tuple(seen[BINS:].tolist()), []

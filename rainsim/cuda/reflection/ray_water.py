@@ -16,22 +16,20 @@ from rainsim.reflection.ray_water import (
     is_speck,
     meet_surface,
 )
-from rainsim.scene.view import pixel_ray, view_from
+from rainsim.scene.view import pixel_ray
 
 
 @cuda_kernel
-def meet_water(depth, camera, water_map, highest, cover, hit_out, coverage_out):
+def meet_water(depth, view, water_map, highest, cover, hit_out, coverage_out):
     """Find where each pixel's ray meets the water and how much it covers; see `ray_water`.
 
-    camera : View
     highest : device array of shape (1,), float32 [m]
     """
     column, row = cuda.grid(2)
     height, width = depth.shape
     if row >= height or column >= width:
         return
-    view, top = view_from(camera), highest[0]
-    ny, nx = water_map.surface.shape
+    top, (ny, nx) = highest[0], water_map.surface.shape
     coverage_out[row, column] = ZERO
     x, y, z = pixel_ray(view, row, column)
     behind = depth[row, column]

@@ -9,8 +9,7 @@ from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.reflection.planar_mirror import mirror_of
 from rainsim.reflection.screen_space import NOT_GROUND, level_hit
 from rainsim.reflection.water_shading import surface_at
-from rainsim.scene.view import view_from
-from rainsim.ssr import BLOCK, DepthBlocks, MarchSettings, joined_at
+from rainsim.ssr import BLOCK, DepthBlocks, joined_at
 
 NOWHERE = np.float32(np.inf)
 WIDE = 32  # threads of a row of `keep_tall`; BLOCK such rows are a block of them
@@ -60,13 +59,12 @@ def join_bounds(height, width, bounds_out):
 
 
 @cuda_kernel
-def find_hits(hit, coverage, tall, bounds, camera, settings, mirror_range, distance_out):
+def find_hits(hit, coverage, tall, bounds, view, settings, mirror_range, distance_out):
     """March from the water that no mirror serves; see `reflection.screen_space.march_light`.
 
     In a kernel of its own, so that many threads are there to wait for memory.
 
-    camera : View
-    settings : float32 device array (3,). Of `ssr.MarchSettings`.
+    settings : MarchSettings
     mirror_range : float32 device array (k, 3) [m]. See `MirrorArrays`.
     distance_out : float32 array (height, width) [m]. What `rainsim.ssr.march`
         returns; only where it was asked.
@@ -77,8 +75,6 @@ def find_hits(hit, coverage, tall, bounds, camera, settings, mirror_range, dista
         return
     if hit[row, column] < ZERO:  # on a top that slopes
         return
-    view = view_from(camera)
     water = surface_at(view, row, column, hit[row, column])
     if mirror_of(mirror_range, water.z) < 0:
-        march = MarchSettings(settings[0], settings[1], settings[2])
-        distance_out[row, column] = level_hit(view, DepthBlocks(tall, bounds), march, water)
+        distance_out[row, column] = level_hit(view, DepthBlocks(tall, bounds), settings, water)

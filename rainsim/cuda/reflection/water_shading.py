@@ -17,14 +17,14 @@ from rainsim.reflection.planar_mirror import MirrorPicture, mirrored_light
 from rainsim.reflection.screen_space import screen_light, surrounding_light
 from rainsim.reflection.water_shading import shade_water_pixel, tilted, water_at
 from rainsim.reflection.wet_tops import top_below
-from rainsim.scene.view import View, view_from
+from rainsim.scene.view import View
 
 SPREAD = np.float32(MIRROR_SPREAD)
 
 
 @cuda_kernel
 def shade_water(
-    hit, coverage, distance, background, tall, camera, water_map, tops, ripples, environment,
+    hit, coverage, distance, background, tall, view, water_map, tops, ripples, environment,
     gloss, settings, mirrors, optics, picture_out,
 ):  # fmt: skip
     """Write the picture with the water on it: ripples, reflection, refraction, the sun's glint.
@@ -35,11 +35,10 @@ def shade_water(
         `screen_space.find_hits` left it.
     tall : float32 device array (height, width) [m]. As `screen_space.keep_tall`
         left it.
-    camera : View
     tops : TopMaps
     environment, gloss : float32 device array (rows, columns, 3). The
         surroundings, and blurred, which sloping tops mirror.
-    settings : float32 device array (3,). Of `ssr.MarchSettings`.
+    settings : MarchSettings
     mirrors : MirrorArrays
     picture_out : float32 device array (height, width, 3)
     """
@@ -52,7 +51,6 @@ def shade_water(
         for c in range(3):
             picture_out[row, column, c] = background.picture[row, column, c]
         return
-    view = view_from(camera)
     water = water_at(view, water_map, tops, row, column, hit[row, column], covers)
     water = tilted(water, ripples, tops)
     mirror = mirror_of(mirrors.range, water.z)
@@ -65,7 +63,13 @@ def shade_water(
         red, green, blue = by_mirror(mirrors, mirror, view, water)
     else:
         red, green, blue, _ = screen_light(
-            view, background.picture, tall, environment, settings[0], water, distance[row, column]
+            view,
+            background.picture,
+            tall,
+            environment,
+            settings.thickness,
+            water,
+            distance[row, column],
         )
     r, g, b = shade_water_pixel(water, row, column, (red, green, blue), background, view, optics)
     picture_out[row, column, 0] = r

@@ -14,11 +14,9 @@ from rainsim.cuda.shading.wet_pass import DeviceView, grade_and_wet, pixel_grid
 from rainsim.reflection.ray_water import COVERING_DEPTHS
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.reflection.water_pass import March
-from rainsim.shading.grading import Look
 from rainsim.shading.smooth_normals import AROUND, NO_AROUND
 from rainsim.shading.surface_point import GroundMaps
 from rainsim.shading.wet_pass import DryPicture
-from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import SkyMaps
 
 
@@ -28,6 +26,7 @@ class DeviceTables:
     conductor : Conductor
     place : tuple. Corner (2,) and spacing [m] of the map.
     camera : DeviceView. Of the frame.
+    march : MarchSettings. Of the frame.
     """
 
     def __init__(self, conductor):
@@ -44,6 +43,7 @@ class DeviceTables:
             "environment": to_device(scene.sky.environment), "gloss": to_device(scene.sky.gloss),
             "coat": to_device(scene.sky.coat), "behind": to_device(scene.sky.behind),
             "behind_mirrored": to_device(scene.sky.behind_mirrored),
+            "cover": to_device(COVERING_DEPTHS),
         }  # fmt: skip
         tops, f4 = ground.water.tops, np.float32
         self._tops = tops._replace(
@@ -52,12 +52,9 @@ class DeviceTables:
             origin=to_device(tops.origin),
         )  # fmt: skip
         self._now = FrameUniforms({
-            "look": ((len(Look._fields),), f4), "settings": ((3,), f4), "cover": ((2,), f4),
-            "off_ground": ((len(OffGroundWetness._fields),), f4), "brightness": ((1,), f4),
             "sun": ((6,), f4), "air": ((3,), f4), "around": ((3,), f4),
             "tops": ((max(len(tops.form), 1), 2), f4),
         })  # fmt: skip
-        self._now.update(cover=COVERING_DEPTHS)
         self._arrays.update(self._now.device)
         self.tops = self._tops._replace(water=self._now["tops"])
         self._staging = Staging()
@@ -85,7 +82,7 @@ class DeviceTables:
     def update(self):
         """Send what the conductor has taken over for the next frame."""
         conductor, inputs = self.conductor, self.conductor.frame
-        scene, camera = conductor.wet_scene, conductor.camera
+        camera = conductor.camera
         for name, value, send in self._kept():
             if value is not self._sent.get(name):
                 send(value)
@@ -93,11 +90,8 @@ class DeviceTables:
         self.camera.take(conductor.view, (camera.height, camera.width))
         if len(self._tops.form):
             self._now.update(tops=inputs["tops"].water)
-        self._now.update(
-            look=scene.shading.look, off_ground=scene.shading.off_ground,
-            settings=March().settings(camera.width), brightness=conductor.brightness,
-            sun=inputs["sun"], air=inputs["air"], around=inputs["everywhere"],
-        )  # fmt: skip
+        self.march = March().settings(camera.width)
+        self._now.update(sun=inputs["sun"], air=inputs["air"], around=inputs["everywhere"])
         self._now.send()
 
     def _kept(self):
@@ -166,9 +160,9 @@ class DeviceTables:
         behind = self["behind_mirrored" if mirrored else "behind"]
         cover = self._no_cover if cover_out is None else cover_out
         grade_and_wet[pixel_grid(shape)](
-            camera.size, dry, camera.view, ground, self["off_ground"],
-            SkyMaps(self["gloss"], self["coat"], behind), self["look"], picture_out, depth_out,
-            clearance_out, cover,
+            camera.size, dry, camera.view, ground, scene.shading.off_ground,
+            SkyMaps(self["gloss"], self["coat"], behind), scene.shading.look, picture_out,
+            depth_out, clearance_out, cover,
         )  # fmt: skip
 
 

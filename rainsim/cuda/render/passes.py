@@ -49,7 +49,7 @@ class Passes:
             "grade and wet": self._grade, "film": self._add_film,
             "water surface": self._draw_surface, "find tall": self._find_tall,
             "light of drops": self._light_drops, "list drops": self._rain.see,
-            "streaks": self._rain.fall, "list splashes": _pass_on, "splashes": self._rain.land,
+            "streaks": self._rain.fall, "splashes": self._rain.land,
             "find water": self._find_water, "mirror": self._mirror, "reflection": self._march,
             "water": self._lay, "light of the rain": self._light_rain, "glare": self._add_glare,
             "compose": self._compose,
@@ -62,25 +62,25 @@ class Passes:
             self._arrays[name] = cuda.device_array(shape, kind)
         return self._arrays[name]
 
-    def _grade(self, layers, _view, _scene, apart):
+    def _grade(self, layers, film_apart):
         size = layers.alpha.shape
         below = self._array("below", *size, 3)
         depth, clearance = (self._array(name, *size) for name in ("depth", "clearance"))
-        cover = self._array("cover", *size) if apart else None
+        cover = self._array("cover", *size) if film_apart else None
         self.tables.grade(layers, self.tables.camera, below, depth, clearance, cover)
         return below, depth, clearance, cover
 
-    def _light_ground(self, _layers, scene, camera):
-        return None if self._film is None else self._film.draw(scene, camera)
+    def _light_ground(self, scene, ground_camera):
+        return None if self._film is None else self._film.draw(scene, ground_camera)
 
-    def _add_film(self, below, depth, _clearance, cover, _view, _camera, _scene, _ground, light):
-        if light is None:
+    def _add_film(self, below, depth, cover, field_on_ground):
+        if field_on_ground is None:
             return below
         picture = self._array("picture", *below.shape)
-        add_reflection[pixel_grid(depth.shape)](below, cover, *light, picture)
+        add_reflection[pixel_grid(depth.shape)](below, cover, *field_on_ground, picture)
         return picture
 
-    def _draw_surface(self, water, _rings, _ground):
+    def _draw_surface(self, water):
         self._surface.draw(water)
         return self._surface
 
@@ -91,17 +91,19 @@ class Passes:
         screen_space.join_bounds[-(-len(bounds) // joiners), joiners](*size, bounds)
         return tall, bounds
 
-    def _light_drops(self, picture, depth, _view, _scene, _everywhere):
+    def _light_drops(self, picture, depth):
         return self._drop_light.find(picture, depth, self.tables)
 
-    def _find_water(self, depth, _view, surface, _tops, _scene, _methods):
+    def _find_water(self, depth, surface, scene):
         tables, grid = self.tables, pixel_grid(depth.shape)
         seen = tuple(self._array(name, *depth.shape) for name in ("hit", "coverage"))
         ray_water.meet_water[grid](
             depth, tables.view, self._water_map(surface), surface.highest, tables["cover"], *seen
         )
         if len(tables.tops.form):
-            wet_tops.meet_tops[grid](depth, tables.view, tables.tops, tables["off_ground"], *seen)
+            wet_tops.meet_tops[grid](
+                depth, tables.view, tables.tops, scene.shading.off_ground, *seen
+            )
         return seen
 
     def _water_map(self, surface):
@@ -110,50 +112,42 @@ class Passes:
             surface.surface, surface.over, tables["rings"], *tables.place, surface.shores
         )
 
-    def _mirror(self, seen, _tops, camera, _view, scene, methods, step):
-        return self._mirrors.draw(seen, camera, scene, methods.reflections, step)
+    def _mirror(self, seen, camera, scene, methods, mirror_step):
+        return self._mirrors.draw(seen, camera, scene, methods.reflections, mirror_step)
 
-    def _march(
-        self, seen, mirrors, ripples, _tops, _picture, depth, _clearance, tall, _view, _scene,
-        _methods,
-    ):  # fmt: skip
+    def _march(self, seen, mirrors, ripples, depth, tall):
         (height, width), (wide, high) = depth.shape, screen_space.PATCH
         distance, tables = self._array("distance", height, width), self.tables
         screen_space.find_hits[(-(-width // wide), -(-height // high)), screen_space.PATCH](
-            *seen, *tall, tables.view, tables["settings"], mirrors.range, distance
+            *seen, *tall, tables.view, tables.march, mirrors.range, distance
         )
         return distance, mirrors, tall[0], Ripples(*ripples)
 
-    def _lay(self, seen, reflected, picture, below, depth, _view, _sun, methods):
+    def _lay(self, seen, reflected, picture, below, depth, methods):
         tables, (distance, mirrors, tall, ripples) = self.tables, reflected
         shown = self._array("shown", *picture.shape)
         water_shading.shade_water[pixel_grid(depth.shape)](
             *seen, distance, Background(picture, below, depth), tall, tables.view,
             self._water_map(self._surface), tables.tops, ripples, tables["environment"],
-            tables["gloss"], tables["settings"], mirrors, optics_of(methods, tables["sun"]), shown,
+            tables["gloss"], tables.march, mirrors, optics_of(methods, tables["sun"]), shown,
         )  # fmt: skip
         return shown
 
-    def _light_rain(self, drop_light, _air, _shown, _render):
+    def _light_rain(self, drop_light):
         return RainLight(*drop_light, self.tables["air"])
 
-    def _add_glare(self, shown, camera, _brightness, render):
+    def _add_glare(self, shown, ground_camera, brightness, render):
         if render.glare == "off":
             return shown
-        return self._glare.added(shown, self.tables["brightness"], camera.fx)
+        return self._glare.added(shown, np.float32(brightness), ground_camera.fx)
 
-    def _compose(self, picture, depth, rain_alpha, splash_alpha, fog, light, _view, _brightness):
-        image = self._array("image", *picture.shape, kind=np.uint8)
+    def _compose(self, dazzling, depth, rain_alpha, splash_alpha, fog, rain_light, brightness):
+        image = self._array("image", *dazzling.shape, kind=np.uint8)
         compose[pixel_grid(depth.shape)](
-            picture, depth, RainCover(rain_alpha, splash_alpha, fog), light, self.tables.view,
-            self.tables["brightness"], image,
+            dazzling, depth, RainCover(rain_alpha, splash_alpha, fog), rain_light,
+            self.tables.view, np.float32(brightness), image,
         )  # fmt: skip
         return image
-
-
-def _pass_on(drops, *_given):
-    """Return the streaks, over which splashes are listed as they are drawn."""
-    return drops
 
 
 def _splat(camera, capture):

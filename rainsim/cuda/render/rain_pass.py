@@ -43,13 +43,14 @@ class RainPass:
         self._fog, self._fog_of = FrameUniforms({"fog": ((FOG_STEPS + 3,), np.float32)}), ()
         self._none = None  # a picture without rain
 
-    def see(self, camera, camera_end, time, render, field):
+    def see(self, ground_camera, ground_camera_end, time, render, field):
         """Take over camera, shutter and rain of a picture; return its streaks, or None."""
         if field is None and self._fog_of is not None:  # that of rain that has ended must go
             self._send_fog(None, NO_FOG)
         if field is None and self._spray is None:
             return None
-        if self._streaks is None or self._streaks.alpha.shape != (camera.height, camera.width):
+        camera, size = ground_camera, (ground_camera.height, ground_camera.width)
+        if self._streaks is None or self._streaks.alpha.shape != size:
             self._streaks = self._splashes = None  # freed before more is asked for
             surfaces = self._conductor.frame["surfaces"]
             if self._heights is not None:
@@ -58,7 +59,7 @@ class RainPass:
             self._streaks = Streaks(rain, surfaces, camera.width, camera.height)
             self._streaks.spray = self._spray
         shutter = camera, time, render.exposure
-        lens = lens_of(camera_end, render)
+        lens = lens_of(ground_camera_end, render)
         if field is None:
             self._streaks.update(NO_RAIN, *shutter, NEAR, *lens)
             return self._streaks
@@ -75,22 +76,20 @@ class RainPass:
         self._fog.update(fog=table)
         self._fog.send()
 
-    def fall(self, streaks, depth, camera, camera_end, time, render, field, surfaces, drips, rolls):
+    def fall(self, drops, depth, ground_camera, time, render, surfaces, drips, rolls):
         """Queue what `draw_falling` draws; return it as a device array, and the fog."""
-        if streaks is None:
+        if drops is None:
             return self._nothing(depth.shape), self._fog["fog"]
         if self._heights is not None:
             self._heights.send(surfaces)
         if self._spray is not None:
-            self._spray.send(*spray_seen(rolls, camera, time, render.exposure), camera)
-        streaks.drips = self._on_device(drips)
-        streaks.draw(depth)
-        return streaks.alpha, self._fog["fog"]
+            seen = spray_seen(rolls, ground_camera, time, render.exposure)
+            self._spray.send(*seen, ground_camera)
+        drops.drips = self._on_device(drips)
+        drops.draw(depth)
+        return drops.alpha, self._fog["fog"]
 
-    def land(
-        self, streaks, _rain_alpha, depth, camera, camera_end, time, interval, render, field,
-        surfaces, drips, water, paving,
-    ):  # fmt: skip
+    def land(self, drops, depth, time, field, surfaces, water, paving):
         """Queue what `draw_landing` draws; return it as a device array; waits."""
         if field is None:
             return self._nothing(depth.shape)
@@ -104,7 +103,7 @@ class RainPass:
             self._impacts.forget()
         self._impacts.update(math.floor(time * conductor.config.fps + 1e-6))
         if self._splashes is None:
-            self._splashes = Splashes(streaks, self._impacts)
+            self._splashes = Splashes(drops, self._impacts)
         self._splashes.update(field, WET_FILM * paving)
         self._splashes.draw(water)
         return self._splashes.alpha

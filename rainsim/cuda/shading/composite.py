@@ -5,24 +5,17 @@ from __future__ import annotations
 from rainsim.constants import HALF, ONE
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.numerics.interpolation import bilinear_color
-from rainsim.scene.view import column_slope, row_slope, view_from
+from rainsim.scene.view import column_slope, row_slope
 from rainsim.shading import composite
 
 
 @cuda_kernel
-def compose(picture, depth, drops, light, camera, brightness, image_out):
-    """Put air, splashes and drops before a picture and encode it for display.
-
-    Parameters are those of the CPU's kernel but for these.
-
-    camera : View
-    brightness : float32 device array (1,)
-    """
+def compose(picture, depth, drops, light, view, brightness, image_out):
+    """Put air, splashes and drops before a picture and encode it for display."""
     column, row = cuda.grid(2)
     height, width = depth.shape
     if row >= height or column >= width:
         return
-    view = view_from(camera)
     a = column_slope(view, column)
     b = row_slope(view, row)
     clear = composite.transmittance(drops.fog, depth[row, column], a, b)
@@ -38,4 +31,4 @@ def compose(picture, depth, drops, light, camera, brightness, image_out):
             picture[row, column, c], shown[c], around[c], light.air[c], clear,
             past_splashes, past_drops,
         )  # fmt: skip
-        image_out[row, column, c] = composite.eight_bit(composite.tone_curve(value * brightness[0]))
+        image_out[row, column, c] = composite.eight_bit(composite.tone_curve(value * brightness))

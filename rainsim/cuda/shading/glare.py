@@ -28,7 +28,7 @@ def list_dazzling(picture, brightness, column_out, count_out):
     """List the columns of each row's dazzling pixels; a block for each row.
 
     picture : float32 device array (height, width, 3)
-    brightness : float32 device array (1,)
+    brightness : float32
     column_out : int32 device array (height, width). Its first columns are
         written.
     count_out : int32 device array (height,)
@@ -36,7 +36,7 @@ def list_dazzling(picture, brightness, column_out, count_out):
     counts = cuda.shared.array(THREADS, np.int32)
     row, lane, width = cuda.blockIdx.x, cuda.threadIdx.x, picture.shape[1]
     begin, end = lane * width // THREADS, (lane + 1) * width // THREADS
-    least, count = MOST / brightness[0], 0
+    least, count = MOST / brightness, 0
     for i in range(begin, end):
         if dazzles(picture[row, i], least):
             count += 1
@@ -65,7 +65,7 @@ def add_halos(picture, brightness, column, count, spread, dazzling_out):
     i, j = cuda.grid(2)
     if j >= picture.shape[0] or i >= picture.shape[1]:
         return
-    least = MOST / brightness[0]
+    least = MOST / brightness
     red = green = blue = ZERO
     for row in range(count.size):
         share = spread[abs(row - j)]
@@ -90,7 +90,7 @@ class Glare:
         """Queue the sum of a shown picture and its halos; return it.
 
         shown : float32 device array (height, width, 3)
-        brightness : float32 device array (1,)
+        brightness : float32
         focal : float [px]
         """
         rows, columns = size = shown.shape[:2]

@@ -6,14 +6,13 @@ The host finds the lamps in the level picture, as for the CPU; scenes without an
 from __future__ import annotations
 
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.scene.view import view_from
 from rainsim.shading.ground_slopes import block_ray
 from rainsim.shading.lamp_images import LampView, lamp_light
 from rainsim.shading.lamp_search import may_shine
 
 
 @cuda_kernel
-def add_lamps(camera, step, ground, seen, level_size, field_out):
+def add_lamps(view, step, ground, seen, level_size, field_out):
     """Add the light of lamps that wet ground mirrors to each block; see the CPU's kernel.
 
     level_size : float32 device array (2,). Columns and rows of the level picture,
@@ -22,7 +21,6 @@ def add_lamps(camera, step, ground, seen, level_size, field_out):
     i, j = cuda.grid(2)
     if j >= field_out.shape[0] or i >= field_out.shape[1]:
         return
-    view = view_from(camera)
     x, y, z = block_ray(view, step, j, i)
     depth = seen.depth[: int(level_size[1]), : int(level_size[0])]
     shown = LampView(seen.lamps, depth, seen.lens, seen.forward)

@@ -17,7 +17,7 @@ from rainsim.cuda.shading.lamp_images import add_lamps, shines
 from rainsim.cuda.shading.wet_pass import BLOCK, DeviceView, blocks
 from rainsim.numerics.ripmap import LEVELS
 from rainsim.reflection.water_pass import WetPicture
-from rainsim.scene.view import View, view_from
+from rainsim.scene.view import View
 from rainsim.shading import wet_ground_mirror
 from rainsim.shading.lamp_images import LampView, lamps_seen, without_lamps
 from rainsim.shading.microfacet import LOBE
@@ -84,7 +84,7 @@ def level_of(place, side):
 
 
 @cuda_kernel
-def mirrored_field(camera, step, ground, lobe, level, level_size, environment, field_out):
+def mirrored_field(view, step, ground, lobe, level, level_size, environment, field_out):
     """Write the light that wet ground mirrors to each block of pixels; see the CPU's kernel.
 
     level_size : device array of shape (2,), float32
@@ -93,7 +93,6 @@ def mirrored_field(camera, step, ground, lobe, level, level_size, environment, f
     i, j = cuda.grid(2)
     if j >= field_out.shape[0] or i >= field_out.shape[1]:
         return
-    view = view_from(camera)
     x, y, z = wet_ground_mirror.block_ray(view, step, j, i)
     depth = level.depth[: int(level_size[1]), : int(level_size[0])]
     drawn = wet_ground_mirror.LevelPicture(level.atlas, depth, level.lens, level.forward)

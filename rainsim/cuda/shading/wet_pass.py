@@ -7,12 +7,10 @@ import numpy as np
 from rainsim.constants import ZERO
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.scene.view import view_from, view_of_arrays
-from rainsim.shading.grading import look_from
+from rainsim.scene.view import View
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
 from rainsim.shading.surface_point import is_surface, seen_surface
 from rainsim.shading.wet_pass import NO_DEPTH
-from rainsim.shading.wetness import off_ground_from
 from rainsim.shading.wetting import wet_pixel
 
 BLOCK = (32, 8)  # threads: columns, rows
@@ -31,7 +29,7 @@ def pixel_grid(size):
 class DeviceView:
     """The camera of one picture after another as kernels take it.
 
-    view : View. Of device arrays, see `view_of_arrays`.
+    view : View or None. Of the last picture; its arrays are on the device.
     size : float32 device array (2,). Width and height of its picture [px].
     """
 
@@ -40,8 +38,7 @@ class DeviceView:
         self._now = FrameUniforms({
             "turn": ((3, 3), f4), "eye": ((3,), f4), "lens": ((4,), f4), "size": ((2,), f4),
         })  # fmt: skip
-        self.view = view_of_arrays(*(self._now[name] for name in ("turn", "eye", "lens")))
-        self.size, self.lens = self._now["size"], self._now["lens"]
+        self.view, self.size, self.lens = None, self._now["size"], self._now["lens"]
 
     def take(self, view, shape):
         """Take over a `View` of the host, of a picture (height, width)."""
@@ -49,27 +46,23 @@ class DeviceView:
             turn=view.ground_from_camera, eye=view.eye, lens=view.lens, size=shape[::-1]
         )
         self._now.send()
+        self.view = View(self._now["turn"], self._now["eye"], *view[2:])
 
 
 @cuda_kernel
 def grade_and_wet(
-    size, dry, camera, ground, rain, sky, look, picture_out, depth_out, clearance_out, cover_out
+    size, dry, view, ground, rain, sky, look, picture_out, depth_out, clearance_out, cover_out
 ):  # fmt: skip
     """Grade the dry picture, wet it, and measure it against the ground.
 
-    Parameters are those of the CPU's kernel but for these.
+    Parameters are those of the CPU's kernel but for this.
 
     size : float32 device array (2,). Columns and rows [px] of the part that was
         drawn.
-    camera : View
-    rain : float32 device array (fields,). An `OffGroundWetness`, see
-        `off_ground_from`.
-    look : float32 device array (fields,). A `Look`, see `look_from`.
     """
     column, row = cuda.grid(2)
     if row >= size[1] or column >= size[0]:
         return
-    view = view_from(camera)
     turn, normal, unit = turn_of(view.ground_from_camera), dry.normal, dry.meters_per_unit
     alpha, color = dry.alpha[row, column], dry.color
     x, y, z, d, _, point = seen_surface(
@@ -88,8 +81,7 @@ def grade_and_wet(
     mirror_apart = cover_out.shape[0] > 0
     r, g, b, clearance, cover = wet_pixel(
         (color[row, column, 0], color[row, column, 1], color[row, column, 2]), alpha,
-        (x, y, z), point, around, ground, off_ground_from(rain),
-        sky, look_from(look), mirror_apart,
+        (x, y, z), point, around, ground, rain, sky, look, mirror_apart,
     )  # fmt: skip
     picture_out[row, column, 0], picture_out[row, column, 1] = r, g
     picture_out[row, column, 2] = b

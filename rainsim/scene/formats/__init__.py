@@ -1,15 +1,5 @@
 """Splat files in all formats that are read, recognised by their content and never by their name.
 
-| format | recognised by | needs |
-|---|---|---|
-| PLY: 3DGS, PGSR, 2DGS, Mip-Splatting, GOF, GaussianShader | `ply` and its properties | nothing |
-| `.splat`, 32-byte records | its numbers | nothing |
-| compressed PLY (PlayCanvas) | `ply` and packed properties | `rainsim[formats]` |
-| SPZ versions 2 to 4 | gzip, or `NGSP` | `rainsim[formats]` |
-| SOG, one file or a folder of pictures | zip, or `meta.json` | `rainsim[formats]` |
-| binary glTF with KHR_gaussian_splatting | `glTF` | nothing |
-| USD with ParticleField3DGaussianSplat | `PXR-USDC`, `#usda`, zip | `rainsim[usd]` |
-
 All readers return `Splats` in the frame that the capture tool used. SPZ stores other axes (right,
 up, back) and glTF y up, so their splats are rotated. A USD stage says where up is and how long its
 unit is; its splats are in metres with z up.
@@ -26,7 +16,8 @@ from rainsim.io.files import require_file
 from rainsim.scene.activate import MAX_BROKEN_SHARE
 from rainsim.scene.types import Splats
 
-SUFFIXES = (".ply", ".splat", ".spz", ".sog", ".glb")  # usual names, for listing folders only
+# Usual endings, by which the splat file of a folder is found.
+SUFFIXES = (".ply", ".splat", ".spz", ".sog", ".glb")
 META = "meta.json"  # of an unbundled SOG
 START = 1 << 17  # bytes at the beginning of a file by which its format is recognised
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")  # by which its library goes
