@@ -105,7 +105,7 @@ def run_one(use):
 
     def found(kernel, arguments, seconds):
         row = {"kernel": kernel, "arguments": arguments, "seconds": seconds, "stage": stage}
-        print(json.dumps(row), flush=True)
+        print(json.dumps(row) + "\n", end="", flush=True)  # at once: two threads may compile
 
     commands = {"run": film.run, "simulate": film.simulate, "heightmap": heightmap.heightmap,
                 "splat": splat.splat, "lidar": lidar.lidar}  # fmt: skip
