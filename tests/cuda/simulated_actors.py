@@ -144,4 +144,4 @@ def test_frames_with_the_water_on_the_device_are_those_of_the_cpu(monkeypatch):
         assert decibel(found, wanted) > 40
     assert (pictures["cpu"][0] != pictures["cpu"][2]).any()
     state = sequence._state
-    assert state.simulation.drips is None
+    assert state.simulation.drip_list is None

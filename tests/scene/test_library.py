@@ -211,9 +211,9 @@ def fake_built_in(monkeypatch):
     monkeypatch.setattr(library, "BUILT_IN", {"hut": ("made_for_a_test", "make_hut")})
 
 
-def test_built_in_scene_says_that_it_is_a_stand_in(fake_built_in):
+def test_built_in_scene_says_that_it_is_generated(fake_built_in):
     scene = load_scene("hut")
-    assert scene.name == "hut" and "stand-in" in scene.notes[-1]
+    assert scene.name == "hut" and "generated" in scene.notes[-1]
     assert scene.ground_frame.meters_per_unit == 0.8
     assert load_scene("hut", meters_per_unit=2.0).ground_frame.meters_per_unit == 2
     with pytest.raises(ParameterError, match="its own cameras"):
