@@ -5,7 +5,7 @@ import pytest
 import screens
 
 pytestmark = pytest.mark.slow
-OTHER_FONT = "* {font-family: 'DejaVu Serif', 'Liberation Serif', serif !important}"
+OTHER_FONT = "* {font-family: 'DejaVu Serif Condensed', 'Liberation Serif', serif !important}"
 NO_CONTROLS = ".mantine-Paper-root {display: none !important}"
 
 
