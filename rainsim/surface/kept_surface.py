@@ -18,7 +18,7 @@ from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.ground_picture import ground_picture
 from rainsim.surface.ground_shade import GroundShade, ground_shade
-from rainsim.surface.unveiled import MOST_PICTURES, Unveiled, unveiled
+from rainsim.surface.unveiled import EVERY, MOST_PICTURES, Unveiled, unveiled
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
 from rainsim.surface.wall_parts import laid_on_walls
 
@@ -36,7 +36,6 @@ HIDDEN, VEILED, OFTENER, LEAST = 0.7, 0.5, 3, 3
 SPECK = 0.5  # px, of light from which on a camera sees a splat
 BELOW = -0.1  # sine of the elevation from the middle: lower is what the sky hides nowhere
 BRIGHT, ABOUT_SKY = 0.75, 1.8  # of the sky's luminance; logarithm of a channel off its colour
-EVERY = 2  # px: every so many pixels of every so many rows are asked
 ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
 STOPS, LARGEST = 0.3, 0.3  # share of light that a solid splat stops; its deviation [m], at most
 FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
