@@ -16,8 +16,9 @@ LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are
 # Cosines of normals to the vertical: what is nearer to upright than the first catches what slants
 # alone, as captured walls lean by up to so much where they are plain; a pitched roof catches all.
 UPRIGHT_LOW, UPRIGHT_HIGH = np.float32(0.25), np.float32(0.5)
-# Where normals are noise, the same between which a surface gets wet, in place of those two: a wall
-# that seems to lean is hardly wet. And the cosine of a wall to the slant of the rain, likewise.
+# Between the same two a surface gets wet, however much rain has fallen: a step would draw the noise
+# of normals. Where they are noise alone, from upright to the first of these two. The other is the
+# cosine of a wall to the slant of the rain from which it gets as wet as it can.
 SURELY_LEVEL, SURELY_FACING = np.float32(1), np.float32(0.4)
 UNDER_LOW, UNDER_HIGH = np.float32(-0.8), np.float32(-0.2)  # cosines of undersides, of sides
 # Of the rain, what splashes back on the foot of a wall, and its decay upwards [1/m]. An estimate: a
@@ -45,8 +46,8 @@ def damp_off_ground(rain, point, height, body, noisy):
 
     A surface catches rain as it faces the slanting drops; the foot of a wall gets what splashes
     back from the ground, and the sides of smooth bodies get what runs down them. Walls in the lee,
-    and all walls in calm air, stay dry above that. The sum is an even dampness. A wall that is not
-    wet through varies along the paths of the water that runs down.
+    and all walls in calm air, stay dry above that. The larger of both is an even dampness. A wall
+    that is not wet through varies along the paths of the water that runs down.
 
     rain : wetness.OffGroundWetness
     point : surface_point.SurfacePoint. Its distance decides whether the paths are
@@ -58,20 +59,14 @@ def damp_off_ground(rain, point, height, body, noisy):
     """
     nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
+    low, high = (ZERO, SURELY_LEVEL) if noisy else (UPRIGHT_LOW, UPRIGHT_HIGH)
+    surely = max(smoothstep(low, high, nz), smoothstep(ZERO, SURELY_FACING, slant))
     caught = max(nz * smoothstep(UPRIGHT_LOW, UPRIGHT_HIGH, abs(nz)) + slant, ZERO)
     caught *= caught / (caught + LEANING)
-    damp = _damp_of(rain.supply * caught)
-    surely = ZERO
-    if noisy:
-        surely = max(smoothstep(ZERO, SURELY_LEVEL, nz), smoothstep(ZERO, SURELY_FACING, slant))
-        surely, damp, caught = surely * damp, ZERO, ZERO
+    damp = surely * _damp_of(rain.supply * caught)
     if nz > UNDER_LOW:  # undersides get neither; normals of haze are noise, so the edge is soft
-        caught = max(caught, RUN_OFF * body)
-        caught += FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
-        facing = smoothstep(UNDER_LOW, UNDER_HIGH, nz)
-        damp += facing * (_damp_of(rain.supply * caught) - damp)
-    if noisy:
-        damp = max(surely, damp)
+        given = RUN_OFF * body + FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
+        damp = max(damp, smoothstep(UNDER_LOW, UNDER_HIGH, nz) * _damp_of(rain.supply * given))
     variation = PATHS * damp * (ONE - damp)
     if variation < FAINT or far > PATH_FAR or abs(nz) > SLOPING:
         return damp

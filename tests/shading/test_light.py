@@ -194,7 +194,9 @@ def test_noise_of_a_walls_normals_wets_no_patch_in_calm_air():
         point = SurfacePoint(0.3, 0.7, 2.0, np.sqrt(1 - nz * nz), 0.0, nz, 2.0)
         return walls.damp_off_ground(calm, point, 2.0, 0.0, False)
 
-    assert damp(0.0) == damp(0.2) == damp(-0.2) < 0.01 and damp(0.4) > 0.9
+    assert damp(0.0) == damp(0.2) == damp(-0.2) < 0.01 and damp(0.5) > 0.9
+    tilts = [damp(nz) for nz in np.arange(0.2, 0.55, 0.01)]  # long rain wets no edge hard
+    assert 0 <= np.diff(tilts).min() and np.diff(tilts).max() < 0.1
 
 
 def test_grading_is_the_identity_when_asked_for():
