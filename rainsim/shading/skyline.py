@@ -23,7 +23,7 @@ CLEAR = 0.1  # alpha below which a gap is surely open
 HIGH_GAP = math.sin(math.radians(35))  # sine of the elevation above which gaps show the sky
 PROBES = 4  # places of cameras beside the middle that the capture is seen from
 PARALLAX = math.radians(2.5)  # by which the skyline moves from one camera to another
-BEHIND = 2  # texels by which the sky goes on behind what hides it from a single place
+BEHIND = 2  # texels by which the sky goes on behind what hides it from one place
 SOFT = 1.0  # texels over which the sky goes over into what hides it
 FILL = math.radians(6)  # over which the colours of what hides the sky are spread
 
@@ -45,9 +45,11 @@ def skylines(scene, prepared, first_camera, near, seen=None):
         seen if the scene has no cameras.
     near : float [capture units]
     seen : bool array (rows, columns), optional. Where cameras saw the sky, see
-        `surface.captured_sky.seen_sky`: there it is open.
+        `surface.captured_sky.seen_sky`: there alone it is open.
     """
     places = places_of(scene, first_camera)
+    if seen is not None:
+        places = places[:1]  # the land alone is drawn
     parts = (False,) if prepared.leading is None else (False, True)
 
     def draw():
@@ -72,18 +74,22 @@ def skylines(scene, prepared, first_camera, near, seen=None):
 
 
 def opened(skyline, seen):
-    """Return a skyline that is open where the capture's cameras saw the sky.
+    """Return a skyline that is open where the capture's cameras saw the sky, and nowhere else.
 
-    seen : bool array (rows, columns). See `surface.captured_sky.seen_sky`.
+    Another place would not do: past a building's end it looks into what was never captured, where
+    from here a dark doorway is half open.
+
+    seen : bool array (rows, columns). See `surface.captured_sky.seen_sky`. Below
+        the horizon it is open where it was, if the horizon is.
     """
     rows, columns = seen.shape
     direction = directions(*skyline.open.shape)
     row = np.arcsin(np.clip(direction[..., 2], -1, 1)) / (np.pi / 2) * rows
     column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * columns
     there = seen[np.clip(row.astype(int), 0, rows - 1), np.floor(column).astype(int) % columns]
-    there = (there & (row >= 0)).astype(np.float32)
-    there = ndimage.gaussian_filter(there, SOFT, mode=("nearest", "wrap"))
-    return skyline._replace(open=np.maximum(skyline.open, there))
+    there = ndimage.maximum_filter(there, 2 * BEHIND + 1, mode=("nearest", "wrap"))
+    share = ndimage.gaussian_filter(there.astype(np.float32), SOFT, mode=("nearest", "wrap"))
+    return skyline._replace(open=np.where(row < 0, np.minimum(share, skyline.open), share))
 
 
 def seen_from(draw, places):

@@ -187,6 +187,20 @@ def test_the_skyline_spreads_over_what_a_place_sees_through_and_over_nothing_sol
     assert share["bare"][border] > 0.9 and share["bare"][border + 5] < 0.01
 
 
+def test_where_cameras_saw_no_sky_a_half_open_doorway_shows_none():
+    seen = np.ones((45, 180), bool)
+    seen[:20, :60] = False  # a front, up to 40 degrees, for 120 degrees
+    everywhere = skyline.Skyline(np.ones((ROWS, COLUMNS), np.float32), None)
+    found = skyline.opened(everywhere, seen).open
+    azimuth = np.degrees(np.arctan2(directions()[..., 1], directions()[..., 0]))
+    elevation = np.degrees(np.arcsin(directions()[..., 2]))
+    inside = (azimuth > 10) & (azimuth < 110) & (elevation < 30)  # below the horizon as well
+    assert (found[inside] < 0.01).all()
+    # Its outline moves from camera to camera: the sky goes on a little behind it.
+    assert (found[(azimuth > 0) & (azimuth < 120) & (elevation > 38)] > 0.5).all()
+    assert (found[azimuth < -10] > 0.99).all()
+
+
 def test_under_an_open_sky_the_day_is_drawn_and_below_it_the_land():
     alpha = dome(lambda e, a: e < 0)
     seen = np.concatenate([np.full((ROWS, COLUMNS, 3), 0.5, np.float32) * alpha[..., None],
