@@ -17,8 +17,8 @@ LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are
 # alone, as captured walls lean by up to so much where they are plain; a pitched roof catches all.
 UPRIGHT_LOW, UPRIGHT_HIGH = np.float32(0.25), np.float32(0.5)
 # Between the same two a surface gets wet, however much rain has fallen: a step would draw the noise
-# of normals. Where they are noise alone, from upright to the first of these two. The other is the
-# cosine of a wall to the slant of the rain from which it gets as wet as it can.
+# of normals. Where they are noise alone: from upright to the first of these two, and the cosine of
+# a wall to the slant of the rain from which it is wet through; elsewhere that is LEANING.
 SURELY_LEVEL, SURELY_FACING = np.float32(1), np.float32(0.4)
 UNDER_LOW, UNDER_HIGH = np.float32(-0.8), np.float32(-0.2)  # cosines of undersides, of sides
 # Of the rain, what splashes back on the foot of a wall, and its decay upwards [1/m]. An estimate: a
@@ -59,8 +59,10 @@ def damp_off_ground(rain, point, height, body, noisy):
     """
     nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
-    low, high = (ZERO, SURELY_LEVEL) if noisy else (UPRIGHT_LOW, UPRIGHT_HIGH)
-    surely = max(smoothstep(low, high, nz), smoothstep(ZERO, SURELY_FACING, slant))
+    low, high, facing = UPRIGHT_LOW, UPRIGHT_HIGH, LEANING
+    if noisy:
+        low, high, facing = ZERO, SURELY_LEVEL, SURELY_FACING
+    surely = max(smoothstep(low, high, nz), smoothstep(ZERO, facing, slant))
     caught = max(nz * smoothstep(UPRIGHT_LOW, UPRIGHT_HIGH, abs(nz)) + slant, ZERO)
     caught *= caught / (caught + LEANING)
     damp = surely * _damp_of(rain.supply * caught)
