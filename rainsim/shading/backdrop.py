@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.ndimage import median_filter, zoom
 from scipy.spatial import cKDTree
 
 from rainsim import constants
@@ -26,6 +27,7 @@ LOWEST = np.float32(-0.06)  # sine of the elevation: a sky's splats are broad, a
 SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
 LOW_EYE = 1.5  # m above the ground, at least, of whom distant ground is drawn for
 SURE = np.float32(0.5)  # `sky_share` from which a splat is sky
+CLOUD = 5  # texels of the captured sky, 7 degrees: what is narrower than half of it is no cloud
 
 
 def sky_of(scene, found=None):
@@ -130,7 +132,14 @@ class Backdrop:
                 shown = drawn.draw(frame.camera_in_capture(view), 0.0)
                 return np.concatenate([shown.color, shown.alpha[..., None]], axis=-1)
 
-            self._seen = environment.probe(draw, frame.to_ground(self._eye), rows, 2 * rows)
+            seen = environment.probe(draw, frame.to_ground(self._eye))
+            # Seen from elsewhere than its cameras, a trained sky has needles and streaks.
+            medians = [median_filter(channel, CLOUD, mode="nearest") for channel in seen.T]
+            finer = [
+                zoom(median, rows / len(seen), order=1, mode="nearest", grid_mode=True)
+                for median in medians
+            ]
+            self._seen = np.ascontiguousarray(np.stack(finer).T)
         return self._seen
 
 

@@ -105,6 +105,18 @@ def test_clouds_that_cover_half_leave_half_of_the_captured_sky(scene, dull):
     assert not replaces_sky(config.replace(sky="capture"))  # so the splats stay
 
 
+def test_a_needle_in_the_captured_sky_is_not_drawn(dull, monkeypatch):
+    own = dull[0].conductor.wet_scene.sky.backdrop
+    seen = np.ones((128, 256, 4), np.float32)
+    seen[:, 40:42, :3] = 0
+    seen[64:] = 0
+    monkeypatch.setattr(backdrop.environment, "probe", lambda *_: seen)
+    monkeypatch.setattr(own, "_seen", None)
+    found = own._panorama(256)
+    assert found.shape == (256, 512, 4)
+    assert (found[:122] == 1).all() and (found[134:] == 0).all()
+
+
 def test_layers_tell_the_capture_and_the_sky(dull):
     _, report, picture = dull
     top, middle = (2, SIZE // 2), (SIZE // 2, SIZE // 2)
