@@ -15,7 +15,7 @@ from rainsim.shading.surface_point import (
 )
 from rainsim.shading.wet_pass import DryPicture
 from rainsim.shading.wetness import OffGroundWetness
-from rainsim.shading.wetting import wet_state, wetted_normal, with_normal
+from rainsim.shading.wetting import leaf_share, wet_state, wetted_normal, with_normal
 
 
 @cpu_kernel
@@ -47,17 +47,18 @@ def find_dampness(
                 (height, width), ground,
             )  # fmt: skip
             clearance, above = heights_of(point, True, ground)
+            r, g, b = surface_color(
+                dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
+                alpha, look,
+            )  # fmt: skip
             if ground_share(clearance, point.nz, ZERO) < ONE:
                 n0, n1, n2 = smooth_normal(
                     dry.depth, normal, row, column, height, width, view.fx, dry.around / unit
                 )
-                r, g, b = surface_color(
-                    dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
-                    alpha, look,
-                )  # fmt: skip
                 around = turned(turn, n0, n1, n2)
                 lean = wetted_normal(r, g, b, above, point, around, ground.thickest_layer)
                 point = with_normal(point, lean)
             level = ground_share(above, point.nz, point.layer)
-            wet = wet_state(point, clearance, above, level, ground, rain)
+            leaf = leaf_share(r, g, b)
+            wet = wet_state(point, clearance, above, level, leaf, ground, rain)
             damp_out[row, column] = wet.dampness

@@ -45,6 +45,7 @@ from rainsim.shading.wetting import (
     LEAST_SKY,
     SkyMaps,
     glossed,
+    leaf_share,
     mirror_cover,
     rainy_color,
     wet_state,
@@ -303,8 +304,9 @@ def find_levels(n, s):
 def find_wetness(ground, rain, n, s):
     """Find how wet each pixel's surface is: `wet_state` in vectors."""
     for i in range(n):
+        leaf = leaf_share(s[RED + i], s[GREEN + i], s[BLUE + i])
         wet = wet_state(
-            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], ground, rain
+            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], leaf, ground, rain
         )
         store_wetness(wet, s, WETNESS + i, CHUNK)
 

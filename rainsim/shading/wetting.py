@@ -29,7 +29,7 @@ from rainsim.shading.surface_point import (
     is_surface,
     within,
 )
-from rainsim.shading.walls import damp_off_ground
+from rainsim.shading.walls import damp_leaf, damp_off_ground
 from rainsim.shading.wetness import Wetness, wetness_in
 
 # Darkening: ratio of wet to dry albedo, Lekner and Dorf 1988 after Angstrom, see `wet_ratio`.
@@ -112,6 +112,12 @@ def greenness(r, g, b):
 
 
 @inlined_function
+def leaf_share(r, g, b):
+    """Return how surely a thing of a colour is leaves, 0 to 1."""
+    return smoothstep(GREENISH, GREEN, greenness(r, g, b))
+
+
+@inlined_function
 def open_share(y, look):
     """Return which share of the sky a leaf of graded luminance y sees, 0 to 1.
 
@@ -160,9 +166,13 @@ def on_ground(ground, u, v):
 
 
 @inlined_function
-def off_ground(rain, damp, body):
-    """Return the `Wetness` of a surface that is no ground; smooth bodies have no pores."""
-    return Wetness(ZERO, damp, damp * rain.film_left, rain.porosity * (ONE - body))
+def off_ground(rain, damp, body, leaf):
+    """Return the `Wetness` of a surface that is no ground; smooth bodies have no pores.
+
+    A share `leaf` is leaves: their film lies where they face up, and mirrors there.
+    """
+    even = damp + leaf * (damp_leaf(rain) - damp)
+    return Wetness(ZERO, even, damp * rain.film_left, rain.porosity * (ONE - body))
 
 
 @inlined_function
@@ -192,7 +202,7 @@ def wetted_normal(r, g, b, height, point, around, layer):
     length = math.sqrt(max(square, np.float32(1e-12)))
     inv = ONE / length
     x, y, z = x * inv, y * inv, z * inv
-    leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
+    leaf = leaf_share(r, g, b)
     if layer > ZERO:
         # Normals are noise there: a wall is upright, leaves face any way.
         sure = smoothstep(UNLIKE, ALIKE, length)
@@ -214,8 +224,8 @@ def with_normal(point, normal):
 
 
 @inlined_function
-def wet_state(point, clearance, height, level, ground, rain):
-    """Return how wet a surface is that is ground by a share `level`.
+def wet_state(point, clearance, height, level, leaf, ground, rain):
+    """Return how wet a surface is that is ground by a share `level`, else leaves by `leaf`.
 
     The heights are those of `heights_of`.
     """
@@ -225,8 +235,7 @@ def wet_state(point, clearance, height, level, ground, rain):
     off = Wetness(ZERO, ZERO, ZERO, ZERO)
     if mapped < ONE:
         body = body_of(point, clearance, ground)
-        noisy = ground.thickest_layer > ZERO
-        off = off_ground(rain, damp_off_ground(rain, point, height, body, noisy), body)
+        off = off_ground(rain, damp_off_ground(rain, point, height, body), body, leaf)
     if mapped == ZERO:
         return off
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
@@ -284,7 +293,7 @@ def rainy_color(r, g, b, alpha, sine, cosine, upness, height, level, wet, look):
     r, g, b = graded(r, g, b, look)
     if wet.dampness > ZERO:
         thing = ONE - level
-        leaf = thing * smoothstep(GREENISH, GREEN, greenness(r, g, b))
+        leaf = thing * leaf_share(r, g, b)
         coat = (thing - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
         smooth = MIRROR if coat > leaf else leaf
         gloss = (ONE - leaf - coat) * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
@@ -355,7 +364,7 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
     normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
     point = with_normal(point, normal)
     level = ground_share(height, point.nz, point.layer)
-    wet = wet_state(point, clearance, height, level, ground, rain)
+    wet = wet_state(point, clearance, height, level, leaf_share(r, g, b), ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
         r, g, b, alpha, z, cosine, point.nz, height, level, wet, look
