@@ -8,6 +8,7 @@ from rainsim.scene.view import View
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
 from rainsim.shading.surface_point import (
+    NOT_POOR,
     GroundMaps,
     ground_share,
     heights_of,
@@ -51,14 +52,14 @@ def find_dampness(
                 dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
                 alpha, look,
             )  # fmt: skip
-            if ground_share(clearance, point.nz, ZERO) < ONE:
+            if ground_share(clearance, point.nz, NOT_POOR) < ONE:
                 n0, n1, n2 = smooth_normal(
                     dry.depth, normal, row, column, height, width, view.fx, dry.around / unit
                 )
                 around = turned(turn, n0, n1, n2)
                 lean = wetted_normal(r, g, b, above, point, around, ground.thickest_layer)
                 point = with_normal(point, lean)
-            level = ground_share(above, point.nz, point.layer)
+            level = ground_share(above, point.nz, point.ground)
             leaf = leaf_share(r, g, b)
             wet = wet_state(point, clearance, above, level, leaf, ground, rain)
             damp_out[row, column] = wet.dampness

@@ -23,6 +23,7 @@ from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import reflectance
 from rainsim.shading.grading import covered_share, graded, surface_color
 from rainsim.shading.surface_point import (
+    NOT_POOR,
     SurfacePoint,
     ground_share,
     heights_of,
@@ -207,7 +208,7 @@ def wetted_normal(r, g, b, height, point, around, layer):
         # Normals are noise there: a wall is upright, leaves face any way.
         sure = smoothstep(UNLIKE, ALIKE, length)
         z, leaf = sure * z + (ONE - sure) * leaf * LEAFY, ZERO
-    leaf = max(leaf, ground_share(height, max(point.nz, z), ZERO))
+    leaf = max(leaf, ground_share(height, max(point.nz, z), NOT_POOR))
     leaf = leaf if square > np.float32(1e-6) else ONE
     x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
     inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-6))
@@ -219,7 +220,7 @@ def with_normal(point, normal):
     """Return a `SurfacePoint` with another normal."""
     return SurfacePoint(
         point.x, point.y, point.z, normal[0], normal[1], normal[2], point.distance,
-        point.layer,
+        point.ground,
     )  # fmt: skip
 
 
@@ -363,7 +364,7 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
     r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
     normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
     point = with_normal(point, normal)
-    level = ground_share(height, point.nz, point.layer)
+    level = ground_share(height, point.nz, point.ground)
     wet = wet_state(point, clearance, height, level, leaf_share(r, g, b), ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
