@@ -16,7 +16,7 @@ QUARTER = np.float32(0.25)
 # the first where they are plain, a roof of 45 degrees catches all. Rough surfaces have facets of
 # many slopes, so there is no edge between; nor has the cosine of a wall to the rain's slant.
 LEANING, PITCHED, FACING = np.float32(0.2), np.float32(0.7), np.float32(0.4)
-LEAF_WET = np.float32(0.4)  # of leaves: they have two sides, and rain wets upper ones; by eye
+LEAF_WET = HALF  # of a leaf: it has two sides, and rain wets the upper one
 UNDER_LOW, UNDER_HIGH = np.float32(-0.8), np.float32(-0.2)  # cosines of undersides, of sides
 # Of the rain, what splashes back on the foot of a wall, and its decay upwards [1/m]. An estimate: a
 # tenth of the rain is thrown 10 cm, half of it away from the wall, and lands on 8 cm of height.
