@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.constants import HALF, ZERO
+from rainsim.constants import HALF
 from rainsim.jit import cpu_kernel, prange
 from rainsim.reflection import water_record
 from rainsim.reflection.facets import LEAST_VARIANCE, SAMPLES, light_weight
@@ -24,7 +24,7 @@ from rainsim.scene.splat_sets import joined
 from rainsim.scene.view import View, camera_component
 from rainsim.sensors.ray_traced import Tracer
 from rainsim.shading.grading import Look
-from rainsim.shading.surface_point import FLAT, GroundMaps, SurfacePoint
+from rainsim.shading.surface_point import FLAT, NOT_POOR, GroundMaps, SurfacePoint
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import SkyMaps, wet_pixel
 
@@ -206,7 +206,7 @@ def grade_rays(
         d = plane_distance[n] if normal[n, 2] > FLAT else distance[n]
         point = SurfacePoint(
             eye[n, 0] + d * x, eye[n, 1] + d * y, eye[n, 2] + d * z,
-            normal[n, 0], normal[n, 1], normal[n, 2], d, ZERO,
+            normal[n, 0], normal[n, 1], normal[n, 2], d, NOT_POOR,
         )  # fmt: skip
         r, g, b, _, _ = wet_pixel(
             (color[n, 0], color[n, 1], color[n, 2]), alpha[n], (x, y, z), point,

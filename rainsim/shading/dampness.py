@@ -8,6 +8,7 @@ from rainsim.scene.view import View
 from rainsim.shading.grading import Look, surface_color
 from rainsim.shading.smooth_normals import smooth_normal, turn_of, turned
 from rainsim.shading.surface_point import (
+    NOT_POOR,
     GroundMaps,
     ground_share,
     heights_of,
@@ -15,7 +16,7 @@ from rainsim.shading.surface_point import (
 )
 from rainsim.shading.wet_pass import DryPicture
 from rainsim.shading.wetness import OffGroundWetness
-from rainsim.shading.wetting import wet_state, wetted_normal, with_normal
+from rainsim.shading.wetting import leaf_share, wet_state, wetted_normal, with_normal
 
 
 @cpu_kernel
@@ -47,17 +48,18 @@ def find_dampness(
                 (height, width), ground,
             )  # fmt: skip
             clearance, above = heights_of(point, True, ground)
-            if ground_share(clearance, point.nz, ZERO) < ONE:
+            r, g, b = surface_color(
+                dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
+                alpha, look,
+            )  # fmt: skip
+            if ground_share(clearance, point.nz, NOT_POOR) < ONE:
                 n0, n1, n2 = smooth_normal(
                     dry.depth, normal, row, column, height, width, view.fx, dry.around / unit
                 )
-                r, g, b = surface_color(
-                    dry.color[row, column, 0], dry.color[row, column, 1], dry.color[row, column, 2],
-                    alpha, look,
-                )  # fmt: skip
                 around = turned(turn, n0, n1, n2)
                 lean = wetted_normal(r, g, b, above, point, around, ground.thickest_layer)
                 point = with_normal(point, lean)
-            level = ground_share(above, point.nz, point.layer)
-            wet = wet_state(point, clearance, above, level, ground, rain)
+            level = ground_share(above, point.nz, point.ground)
+            leaf = leaf_share(r, g, b)
+            wet = wet_state(point, clearance, above, level, leaf, ground, rain)
             damp_out[row, column] = wet.dampness

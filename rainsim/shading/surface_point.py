@@ -16,7 +16,7 @@ from rainsim.jit import inlined_function, lean_function
 from rainsim.numerics.interpolation import bilinear, is_on_map, map_place, smoothstep
 from rainsim.scene.view import column_slope, row_slope
 from rainsim.shading.bodies import NO_BODIES
-from rainsim.shading.smooth_normals import turned
+from rainsim.shading.smooth_normals import EACH, SAMPLES, sample, turned
 
 FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level
 LEANS = np.float32(0.1)  # the same below which a surface counts as upright
@@ -28,11 +28,15 @@ NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
 HAZE = np.float32(0.3)  # alpha below which splats seen from above are none of the ground
 STEP, STEPS = np.float32(0.15), 40  # m, and how many, in which a ray to the bed looks for walls
 WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ from it
-# Where poor ground's splats and what stands on it mix: times the layer over the bed where pictures
-# tell the two apart, and by how much the depth there is more than the point's if nothing stands.
+# Where poor ground's splats and what stands on it mix, pictures tell the two apart: so many layers
+# over the bed. Ratios of a place's depth to the depth there, up to which nothing stands and from
+# which a thing does; and of the depth shown to that of the thing, up to which both are one and from
+# which the thing hangs before the ground. By eye: depths of such captures are off by half.
 OVER = np.float32(2), np.float32(2.5), np.float32(3)
-SAME, OTHER = np.float32(0.05), np.float32(0.2)
-STANDING = np.float32(0.85)  # of the layer, that does not count there
+BEFORE, BEHIND = np.float32(0.4), np.float32(1.2)
+SAME, OTHER = np.float32(1.1), np.float32(1.5)
+REGION = np.float32(0.015)  # of the focal length: half the radius over which depths are averaged
+NOT_POOR = np.float32(-1)  # in place of a share, on ground that is known
 TO_BORDER = np.float32(1.01)  # cells before the map's end that interpolation still reaches
 
 
@@ -53,7 +57,7 @@ class GroundMaps(NamedTuple):
 class SurfacePoint(NamedTuple):
     """A place on a captured surface: position [m], unit normal, distance from the eye [m].
 
-    `layer` [m] is how thick the splats lie about the bed there, see `ground_share`.
+    `ground` is how surely poor ground shows there, 0 to 1, or NOT_POOR, see `ground_share`.
     """
 
     x: np.float32
@@ -63,7 +67,7 @@ class SurfacePoint(NamedTuple):
     ny: np.float32
     nz: np.float32
     distance: np.float32
-    layer: np.float32 = ZERO
+    ground: np.float32 = NOT_POOR
 
 
 @inlined_function
@@ -95,47 +99,65 @@ def seen_surface(turn, view, row, column, normal, depth, plane_depth, dry, size,
     d, e = depth_of_surface(depth, plane_depth, upness)
     e = e if is_surface(dry.alpha[row, column], z) else ZERO
     point = SurfacePoint(
-        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length, ZERO
+        eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length, NOT_POOR
     )
     if ground.layer.shape[0] > 1 and e > ZERO:
         u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
         layer = layer_at(ground, u, v)
-        if layer > ZERO:
-            above = point.z - bed_at(ground, u, v)
-            # What seems to lie below the bed lies where the ray meets that.
-            near = e - (above / z if above < ZERO and z < ZERO else ZERO)
-            stands = standing_share(turn, view, a, b, near, max(above, ZERO), layer, dry, size)
-            layer *= ONE - STANDING * stands
-        point, d = on_bed(point, e, d, x, y, z, layer, ground)
+        above, stands = point.z - bed_at(ground, u, v), (ZERO, FAR_AWAY)
+        if layer > ZERO and above < LAYER_END * layer and z < ZERO:
+            stands = what_stands(turn, view, row, column, (x, y, z), dry, size, ground)
+        point, d = on_bed(point, e, d, x, y, z, layer, stands, ground)
         cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
     return x * inv, y * inv, z * inv, d, cosine, point
 
 
 @lean_function
-def standing_share(turn, view, a, b, depth, height, layer, dry, size):
-    """Return how surely what a pixel shows goes on over the layer of poor ground, 0 to 1.
+def closeness(dry, row, column, reach, size):
+    """Return one over the depth around a pixel [1/m]; 0 where nothing was captured.
+
+    The mean over a region as wide as the noise of poor ground; pixels within `reach` count.
+    """
+    total = ZERO
+    for k in range(SAMPLES):
+        across, down = sample(k, 0)
+        u = min(max(column + across * reach, 0), size[1] - 1)
+        v = min(max(row + down * reach, 0), size[0] - 1)
+        total += ONE / max(dry.depth[v, u], np.float32(1e-6))
+    return EACH * total / dry.meters_per_unit
+
+
+@lean_function
+def what_stands(turn, view, row, column, ray, dry, size, ground):
+    """Return how surely what the region of a pixel shows stands on poor ground, and its depth [m].
 
     Splats of the ground are sheets that end with the layer: over them the picture shows what lies
-    behind. Of a wall it shows the same depth there. Neither a splat's height nor its normal tells.
+    behind. Of a wall it shows the same depth there. Neither a splat's height nor its normal tells,
+    nor the depth of one pixel.
 
-    turn, view, dry, size : see `seen_surface`
-    a, b : float32. Slopes of the pixel's ray.
-    depth, height : float32 [m]. Of the place along the view axis, and over the bed.
-    layer : float32 [m]
+    turn, view, row, column, dry, size, ground : see `seen_surface`
+    ray : tuple of 3 float32. Way [m] for a metre of depth.
     """
-    share = ONE
+    eye, reach = view.eye, max(1, int(view.fx * REGION))
+    shown = ONE / max(closeness(dry, row, column, reach, size), np.float32(1e-6))
+    x, y, z = eye[0] + shown * ray[0], eye[1] + shown * ray[1], eye[2] + shown * ray[2]
+    u, v = map_place(x, y, ground.origin, ground.spacing)
+    layer, height = abs(layer_at(ground, u, v)), z - bed_at(ground, u, v)
+    # What seems to lie below the bed lies where the ray meets that.
+    near = shown - min(height, ZERO) / ray[2]
+    share = ZERO
     for k in range(len(OVER)):
-        up = OVER[k] * layer - height
-        ahead = depth + up * turn[8]
-        if not (ahead > ZERO and up > ZERO):
-            return ZERO
-        column = view.cx + view.fx * (a * depth + up * turn[6]) / ahead
-        row = view.cy + view.fy * (b * depth + up * turn[7]) / ahead
-        column = min(max(column, ZERO), np.float32(size[1] - 1))
-        row = min(max(row, ZERO), np.float32(size[0] - 1))
-        there = dry.depth[int(row), int(column)] * dry.meters_per_unit / ahead - ONE
-        share = min(share, ONE - smoothstep(SAME, OTHER, there))
-    return share
+        up = max(OVER[k] * layer - max(height, ZERO), ZERO)
+        ahead = max(near + up * turn[8], np.float32(1e-3))
+        # The place over the point, in the camera's frame.
+        a = (column_slope(view, column) * near + up * turn[6]) / ahead
+        b = (row_slope(view, row) * near + up * turn[7]) / ahead
+        over = int(view.cy + view.fy * b), int(view.cx + view.fx * a)
+        share += ahead * closeness(dry, over[0], over[1], reach, size)
+    share = max(share / np.float32(len(OVER)), np.float32(1e-3))
+    thing = near / share
+    sure = smoothstep(BEFORE, BEHIND, share) * (ONE - smoothstep(SAME, OTHER, shown / thing))
+    return sure, thing
 
 
 @inlined_function
@@ -193,16 +215,16 @@ def within(ground, u, v):
 
 
 @inlined_function
-def ground_share(height, upness, layer):
+def ground_share(height, upness, poor):
     """Return how surely a surface at a height [m] over the bed is the ground, 0 to 1.
 
     What is low is ground, however its splats lie; what is somewhat higher is if it is level. A step
-    of the cosine `upness` to the vertical would draw the noise of normals as patches. `layer` is
-    the thickness of the splats about a bed that is poorly known [m], 0 elsewhere.
+    of the cosine `upness` to the vertical would draw the noise of normals as patches. Of ground
+    that is poorly known the share `poor` is known, see `SurfacePoint`.
     """
-    foot = ONE - smoothstep(max(FOOT, layer), max(FOOT_END, LAYER_END * layer), height)
-    low = ONE - smoothstep(max(LOW, layer), max(HIGH, LAYER_END * layer), height)
-    return max(foot, low * smoothstep(LEANS, FLAT, upness))
+    foot = ONE - smoothstep(FOOT, FOOT_END, height)
+    low = ONE - smoothstep(LOW, HIGH, height)
+    return max(foot, low * smoothstep(LEANS, FLAT, upness)) if poor < ZERO else poor
 
 
 @inlined_function
@@ -220,15 +242,15 @@ def layer_at(ground, u, v):
 
 
 @inlined_function
-def with_layer(point, layer):
-    """Return a `SurfacePoint` with another layer."""
+def with_share(point, share):
+    """Return a `SurfacePoint` that shows poor ground by a share."""
     return SurfacePoint(
-        point.x, point.y, point.z, point.nx, point.ny, point.nz, point.distance, layer
+        point.x, point.y, point.z, point.nx, point.ny, point.nz, point.distance, share
     )
 
 
 @inlined_function
-def on_bed(point, depth, drawn, x, y, z, layer, ground):
+def on_bed(point, depth, drawn, x, y, z, layer, stands, ground):
     """Return a surface point, its depth and the drawn depth, moved to the bed if it shows that.
 
     Splats of poor ground lie before or behind it. The ray that shows one shows the ground where it
@@ -240,21 +262,27 @@ def on_bed(point, depth, drawn, x, y, z, layer, ground):
     x, y, z : float32. Way [m] along the ray for a metre of depth; the point is
         `depth` of it from the eye.
     layer : float32 [m]. How far from the bed splats show it there.
+    stands : tuple of 2 float32. See `what_stands`.
     ground : GroundMaps. Its bed is poorly known.
     """
+    sure, thing = stands
     eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     bed = bed_at(ground, u, v)
-    some = max(layer, np.float32(1e-3))
-    share = ONE - smoothstep(some, LAYER_END * some, point.z - bed) if layer > ZERO else ZERO
+    share = ZERO
+    if layer > ZERO:
+        share = ONE - smoothstep(layer, LAYER_END * layer, point.z - bed)
+        share *= ONE - sure
+    turned_up = share
     if point.z < bed:  # nothing lies below the ground, whatever stands there
-        share = ONE
+        share, turned_up = ONE, ONE - sure
     if not (share > ZERO and z < ZERO and eye_z > bed):
-        return with_layer(point, layer), drawn
+        return with_share(point, share if layer > ZERO else NOT_POOR), drawn
     to = (bed - eye_z) / z
     u, v = map_place(eye_x + to * x, eye_y + to * y, ground.origin, ground.spacing)
     to = (bed_at(ground, u, v) - eye_z) / z
-    step, turned_up = STEP / max(math.sqrt(x * x + y * y), np.float32(1e-3)), share
+    to -= sure * max(to - thing, ZERO)
+    step = STEP / max(math.sqrt(x * x + y * y), np.float32(1e-3))
     for n in range(STEPS):
         way = depth + np.float32(n) * step
         if way < to:
@@ -267,6 +295,6 @@ def on_bed(point, depth, drawn, x, y, z, layer, ground):
     inv = ONE / max(math.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-6))
     place = SurfacePoint(
         eye_x + e * x, eye_y + e * y, eye_z + e * z, nx * inv, ny * inv, nz * inv,
-        point.distance * (e / depth), layer,
+        point.distance * (e / depth), turned_up if layer > ZERO else NOT_POOR,
     )  # fmt: skip
     return place, drawn + share * (to - drawn)

@@ -12,14 +12,11 @@ from rainsim.numerics.approximations import exp_minus
 from rainsim.numerics.interpolation import smoothstep
 
 QUARTER = np.float32(0.25)
-LEANING = np.float32(0.1)  # cosine to the rain below which captured normals are mostly noise
-# Cosines of normals to the vertical: what is nearer to upright than the first catches what slants
-# alone, as captured walls lean by up to so much where they are plain; a pitched roof catches all.
-UPRIGHT_LOW, UPRIGHT_HIGH = np.float32(0.25), np.float32(0.5)
-# Between the same two a surface gets wet, however much rain has fallen: a step would draw the noise
-# of normals. Where they are noise alone: from upright to the first of these two, and the cosine of
-# a wall to the slant of the rain from which it is wet through; elsewhere that is LEANING.
-SURELY_LEVEL, SURELY_FACING = np.float32(1), np.float32(0.4)
+# Cosines of normals to the vertical between which a surface gets wet: captured walls lean by up to
+# the first where they are plain, a roof of 45 degrees catches all. Rough surfaces have facets of
+# many slopes, so there is no edge between; nor has the cosine of a wall to the rain's slant.
+LEANING, PITCHED, FACING = np.float32(0.2), np.float32(0.7), np.float32(0.4)
+LEAF_WET = HALF  # of a leaf: it has two sides, and rain wets the upper one
 UNDER_LOW, UNDER_HIGH = np.float32(-0.8), np.float32(-0.2)  # cosines of undersides, of sides
 # Of the rain, what splashes back on the foot of a wall, and its decay upwards [1/m]. An estimate: a
 # tenth of the rain is thrown 10 cm, half of it away from the wall, and lands on 8 cm of height.
@@ -41,34 +38,28 @@ def _damp_of(supply):
 
 
 @inlined_function
-def damp_off_ground(rain, point, height, body, noisy):
+def damp_off_ground(rain, point, height, body):
     """Return the dampness of a surface that is no mapped ground, 0 dry to 1 wet through.
 
     A surface catches rain as it faces the slanting drops; the foot of a wall gets what splashes
     back from the ground, and the sides of smooth bodies get what runs down them. Walls in the lee,
-    and all walls in calm air, stay dry above that. The larger of both is an even dampness. A wall
-    that is not wet through varies along the paths of the water that runs down.
+    and all walls in calm air, stay dry above that. The sum is an even dampness. A wall that is not
+    wet through varies along the paths of the water that runs down.
 
     rain : wetness.OffGroundWetness
     point : surface_point.SurfacePoint. Its distance decides whether the paths are
         seen.
     height : float32 [m]. Over the ground.
     body : float32. How surely it belongs to a smooth body, see `bodies`.
-    noisy : bool. Whether the normal is that of a capture whose splats are no
-        surface.
     """
     nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
-    low, high, facing = UPRIGHT_LOW, UPRIGHT_HIGH, LEANING
-    if noisy:
-        low, high, facing = ZERO, SURELY_LEVEL, SURELY_FACING
-    surely = max(smoothstep(low, high, nz), smoothstep(ZERO, facing, slant))
-    caught = max(nz * smoothstep(UPRIGHT_LOW, UPRIGHT_HIGH, abs(nz)) + slant, ZERO)
-    caught *= caught / (caught + LEANING)
-    damp = surely * _damp_of(rain.supply * caught)
+    share = max(smoothstep(LEANING, PITCHED, nz), smoothstep(ZERO, FACING, slant))
+    damp = share * _damp_of(rain.supply * max(nz + slant, ZERO))
     if nz > UNDER_LOW:  # undersides get neither; normals of haze are noise, so the edge is soft
-        given = RUN_OFF * body + FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
-        damp = max(damp, smoothstep(UNDER_LOW, UNDER_HIGH, nz) * _damp_of(rain.supply * given))
+        splashed = FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
+        foot, sides = _damp_of(rain.supply * splashed), body * _damp_of(rain.supply * RUN_OFF)
+        damp = max(damp, max(foot, sides) * smoothstep(UNDER_LOW, UNDER_HIGH, nz))
     variation = PATHS * damp * (ONE - damp)
     if variation < FAINT or far > PATH_FAR or abs(nz) > SLOPING:
         return damp
@@ -85,6 +76,12 @@ def damp_off_ground(rain, point, height, body, noisy):
     if share < ONE:
         path += (ONE - share) * _lattice(point.x * PATHS_ACROSS, v)
     return min(max(damp + variation * path, ZERO), ONE)
+
+
+@inlined_function
+def damp_leaf(rain):
+    """Return the dampness of leaves, which lie at all angles: their normals do not tell it."""
+    return LEAF_WET * _damp_of(rain.supply)
 
 
 @inlined_function

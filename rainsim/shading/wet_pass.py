@@ -33,6 +33,7 @@ from rainsim.shading.smooth_normals import (
     turned,
 )
 from rainsim.shading.surface_point import (
+    NOT_POOR,
     GroundMaps,
     SurfacePoint,
     ground_share,
@@ -45,6 +46,7 @@ from rainsim.shading.wetting import (
     LEAST_SKY,
     SkyMaps,
     glossed,
+    leaf_share,
     mirror_cover,
     rainy_color,
     wet_state,
@@ -65,7 +67,7 @@ from rainsim.shading.wetting import (
 # and places in maps: first the ground's column and row, then the environment's.
 (CLEARANCE, HEIGHT, GLOSS, THROUGH, SMOOTH, ACROSS, DOWN) = (CHUNK * k for k in range(20, 27))
 LEVEL = 27 * CHUNK  # how surely it is the ground, see `ground_share`
-LAYER = 28 * CHUNK  # m, of splats about a poorly known bed, see `SurfacePoint`
+POOR = 28 * CHUNK  # how surely poor ground shows, see `SurfacePoint`
 WETNESS = 29 * CHUNK  # as `store_wetness` writes it, a row for each field
 NUMBERS = WETNESS + len(Wetness._fields) * CHUNK
 
@@ -203,7 +205,7 @@ def locate(view, row, left, n, dry, ground, s):
         s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
         s[COSINE + i], s[DEPTH + i] = cosine, depth
         s[X + i], s[Y + i], s[Z + i], s[AWAY + i] = point.x, point.y, point.z, point.distance
-        s[LAYER + i] = point.layer
+        s[POOR + i] = point.ground
 
 
 @inlined_function
@@ -233,7 +235,7 @@ def take_normals_around(dry, normals, view, row, left, n, layer, s, step):
     radius = dry.around / dry.meters_per_unit
     found = 0
     for i in range(n):
-        level = ground_share(s[CLEARANCE + i], s[UPNESS + i], ZERO)
+        level = ground_share(s[CLEARANCE + i], s[UPNESS + i], NOT_POOR)
         here = dry.depth[row, left + i]
         shown = is_surface(s[ALPHA + i], s[VIEW_Z + i]) & (level < ONE)
         which = step_of(focal, radius, here)
@@ -296,15 +298,16 @@ def add_normals(depth, normal, first, n, s):
 def find_levels(n, s):
     """Find how surely each pixel shows the ground."""
     for i in range(n):
-        s[LEVEL + i] = ground_share(s[HEIGHT + i], s[UPNESS + i], s[LAYER + i])
+        s[LEVEL + i] = ground_share(s[HEIGHT + i], s[UPNESS + i], s[POOR + i])
 
 
 @inlined_function
 def find_wetness(ground, rain, n, s):
     """Find how wet each pixel's surface is: `wet_state` in vectors."""
     for i in range(n):
+        leaf = leaf_share(s[RED + i], s[GREEN + i], s[BLUE + i])
         wet = wet_state(
-            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], ground, rain
+            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], leaf, ground, rain
         )
         store_wetness(wet, s, WETNESS + i, CHUNK)
 
@@ -314,7 +317,7 @@ def surface_point(s, i):
     """Return the `SurfacePoint` of pixel i of a chunk."""
     return SurfacePoint(
         s[X + i], s[Y + i], s[Z + i], s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i], s[AWAY + i],
-        s[LAYER + i],
+        s[POOR + i],
     )  # fmt: skip
 
 

@@ -23,13 +23,14 @@ from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import reflectance
 from rainsim.shading.grading import covered_share, graded, surface_color
 from rainsim.shading.surface_point import (
+    NOT_POOR,
     SurfacePoint,
     ground_share,
     heights_of,
     is_surface,
     within,
 )
-from rainsim.shading.walls import damp_off_ground
+from rainsim.shading.walls import damp_leaf, damp_off_ground
 from rainsim.shading.wetness import Wetness, wetness_in
 
 # Darkening: ratio of wet to dry albedo, Lekner and Dorf 1988 after Angstrom, see `wet_ratio`.
@@ -112,6 +113,12 @@ def greenness(r, g, b):
 
 
 @inlined_function
+def leaf_share(r, g, b):
+    """Return how surely a thing of a colour is leaves, 0 to 1."""
+    return smoothstep(GREENISH, GREEN, greenness(r, g, b))
+
+
+@inlined_function
 def open_share(y, look):
     """Return which share of the sky a leaf of graded luminance y sees, 0 to 1.
 
@@ -160,9 +167,13 @@ def on_ground(ground, u, v):
 
 
 @inlined_function
-def off_ground(rain, damp, body):
-    """Return the `Wetness` of a surface that is no ground; smooth bodies have no pores."""
-    return Wetness(ZERO, damp, damp * rain.film_left, rain.porosity * (ONE - body))
+def off_ground(rain, damp, body, leaf):
+    """Return the `Wetness` of a surface that is no ground; smooth bodies have no pores.
+
+    A share `leaf` is leaves: their film lies where they face up, and mirrors there.
+    """
+    even = damp + leaf * (damp_leaf(rain) - damp)
+    return Wetness(ZERO, even, damp * rain.film_left, rain.porosity * (ONE - body))
 
 
 @inlined_function
@@ -192,12 +203,12 @@ def wetted_normal(r, g, b, height, point, around, layer):
     length = math.sqrt(max(square, np.float32(1e-12)))
     inv = ONE / length
     x, y, z = x * inv, y * inv, z * inv
-    leaf = smoothstep(GREENISH, GREEN, greenness(r, g, b))
+    leaf = leaf_share(r, g, b)
     if layer > ZERO:
         # Normals are noise there: a wall is upright, leaves face any way.
         sure = smoothstep(UNLIKE, ALIKE, length)
         z, leaf = sure * z + (ONE - sure) * leaf * LEAFY, ZERO
-    leaf = max(leaf, ground_share(height, max(point.nz, z), ZERO))
+    leaf = max(leaf, ground_share(height, max(point.nz, z), NOT_POOR))
     leaf = leaf if square > np.float32(1e-6) else ONE
     x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
     inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-6))
@@ -209,13 +220,13 @@ def with_normal(point, normal):
     """Return a `SurfacePoint` with another normal."""
     return SurfacePoint(
         point.x, point.y, point.z, normal[0], normal[1], normal[2], point.distance,
-        point.layer,
+        point.ground,
     )  # fmt: skip
 
 
 @inlined_function
-def wet_state(point, clearance, height, level, ground, rain):
-    """Return how wet a surface is that is ground by a share `level`.
+def wet_state(point, clearance, height, level, leaf, ground, rain):
+    """Return how wet a surface is that is ground by a share `level`, else leaves by `leaf`.
 
     The heights are those of `heights_of`.
     """
@@ -225,8 +236,7 @@ def wet_state(point, clearance, height, level, ground, rain):
     off = Wetness(ZERO, ZERO, ZERO, ZERO)
     if mapped < ONE:
         body = body_of(point, clearance, ground)
-        noisy = ground.thickest_layer > ZERO
-        off = off_ground(rain, damp_off_ground(rain, point, height, body, noisy), body)
+        off = off_ground(rain, damp_off_ground(rain, point, height, body), body, leaf)
     if mapped == ZERO:
         return off
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
@@ -284,7 +294,7 @@ def rainy_color(r, g, b, alpha, sine, cosine, upness, height, level, wet, look):
     r, g, b = graded(r, g, b, look)
     if wet.dampness > ZERO:
         thing = ONE - level
-        leaf = thing * smoothstep(GREENISH, GREEN, greenness(r, g, b))
+        leaf = thing * leaf_share(r, g, b)
         coat = (thing - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
         smooth = MIRROR if coat > leaf else leaf
         gloss = (ONE - leaf - coat) * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
@@ -354,8 +364,8 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
     r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
     normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
     point = with_normal(point, normal)
-    level = ground_share(height, point.nz, point.layer)
-    wet = wet_state(point, clearance, height, level, ground, rain)
+    level = ground_share(height, point.nz, point.ground)
+    wet = wet_state(point, clearance, height, level, leaf_share(r, g, b), ground, rain)
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
         r, g, b, alpha, z, cosine, point.nz, height, level, wet, look

@@ -82,7 +82,7 @@ def test_sides_of_a_body_get_wet_in_calm_rain_and_its_underside_does_not():
 
     def damp(nz, body):
         point = SurfacePoint(*F4([3, 0, 1]), *F4([-np.sqrt(1 - nz * nz), 0, nz]), F4(3))
-        return walls.damp_off_ground(rain, point, F4(1), F4(body), False)
+        return walls.damp_off_ground(rain, point, F4(1), F4(body))
 
     assert damp(0, 1) > 0.9 and damp(0, 0) < 0.02
     assert damp(-0.9, 1) == damp(-0.9, 0) == 0
@@ -107,7 +107,7 @@ def test_between_sides_and_undersides_wetness_has_no_edge():
             walls.damp_off_ground(
                 SOAKED._replace(supply=F4(supply)),
                 SurfacePoint(F4(0), F4(0), F4(1), F4(np.sqrt(1 - z * z)), F4(0), F4(z), F4(50)),
-                F4(height), F4(body), False,
+                F4(height), F4(body),
             )
             for z in upness
         ])  # fmt: skip

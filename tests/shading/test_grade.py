@@ -141,15 +141,17 @@ def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisone
         clearance, above = surface_point.heights_of(point, True, ground)
         drawn = map_place(*(EYE + d * ray)[:2], ORIGIN, SPACING)
         beside += clearance < FAR_AWAY and not -0.5 < max(drawn, key=abs) < CELLS - 0.5
-        if surface_point.ground_share(clearance, normal[2], F4(0)) < 1:
+        if surface_point.ground_share(clearance, normal[2], F4(-1)) < 1:
             alpha, around = dry.alpha[at], TURN @ F4(smooth_normal(
                 dry.depth, dry.normal, *at, HEIGHT, WIDTH, VIEW.fx, dry.around / UNIT
             ))  # fmt: skip
             rgb = undiluted(*dry.color[at], alpha)
             lean = wetting.wetted_normal(*rgb, above, point, tuple(around), F4(0))
             point = SurfacePoint(*(EYE + e * ray), *lean, e * length)
-        level = surface_point.ground_share(above, point.nz, F4(0))
-        wanted[at] = wetting.wet_state(point, clearance, above, level, ground, rain).dampness
+        level = surface_point.ground_share(above, point.nz, F4(-1))
+        leaf = wetting.leaf_share(*undiluted(*dry.color[at], dry.alpha[at]))
+        wet = wetting.wet_state(point, clearance, above, level, leaf, ground, rain)
+        wanted[at] = wet.dampness
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-4)
     assert beside > 0 and (wanted > 0.05).mean() > 0.3 and np.ptp(wanted) > 0.5
 
@@ -245,7 +247,7 @@ def test_what_lies_behind_shows_where_nothing_was_captured_also_below_the_horizo
 
 # --- poorly known ground --------------------------------------------------------------------------
 
-LAYER = F4(0.4)
+LAYER, NOTHING = F4(0.4), (F4(0), FAR_AWAY)  # m; that stands there
 
 
 def poor_ground(layer=0.4, bed=0.1):
@@ -260,7 +262,7 @@ def test_a_sheet_before_or_behind_poor_ground_is_seen_on_the_bed(height):
     ground, ray = poor_ground(), F4([0.2, 1.0, -0.4])
     depth = F4((0.1 + height - 1.6) / ray[2])
     point = SurfacePoint(*(F4([0, -1, 1.6]) + depth * ray), *F4([0, -1, 0]), depth)
-    found, drawn = surface_point.on_bed(point, depth, depth, *ray, LAYER, ground)
+    found, drawn = surface_point.on_bed(point, depth, depth, *ray, LAYER, NOTHING, ground)
     np.testing.assert_allclose(found[:3], F4([0, -1, 1.6]) + 3.75 * ray, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose((found.nx, found.ny, found.nz, drawn), (0, 0, 1, 3.75), atol=1e-5)
 
@@ -275,31 +277,56 @@ def test_a_ray_to_poor_ground_ends_at_a_wall_that_stands_before_it():
         layer = ground.layer.copy()
         layer[row : row + 4] *= -1
         return surface_point.on_bed(
-            point, depth, depth, *ray, F4(0.6), ground._replace(layer=layer)
+            point, depth, depth, *ray, F4(0.6), NOTHING, ground._replace(layer=layer)
         )[0]
 
     met = seen(point.y + 0.5)
     assert 0.4 < met.y - point.y < 0.8 and met.z > 0.2 and (met.ny, met.nz) == (-1, 0)
-    behind = surface_point.on_bed(point, depth, depth, *ray, F4(0.6), ground)[0]
+    behind = surface_point.on_bed(point, depth, depth, *ray, F4(0.6), NOTHING, ground)[0]
     assert behind.z == pytest.approx(0.1, abs=1e-5) and behind.nz == 1
     assert seen(behind.y + 0.3) == behind
 
 
-@pytest.mark.parametrize(("behind", "share"), [(1.0, 1.0), (3.0, 0.0), (np.inf, 0.0)])
-def test_what_goes_on_over_the_layer_stands_and_a_sheet_that_ends_there_does_not(behind, share):
-    """A picture of something 4 m off, of which the upper half shows what lies `behind` times it."""
-    depth = np.full((HEIGHT, WIDTH), 4 / UNIT, F4)
-    depth[: HEIGHT // 2] *= F4(behind)
+def what_stands(over, odd=1.0):
+    """Tell what stands in a picture of something 4 m off that shows `over` times that over it.
+
+    Of one pixel, that which is asked for, the depth is `odd` times as large.
+    """
+    depth = np.full((60, 20), 4 / UNIT, F4)
+    depth[:33] *= F4(over)
+    depth[40, 10] *= F4(odd)
     level = F4([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # looks along y
-    blank = np.ones((HEIGHT, WIDTH), F4)
+    blank = np.ones((60, 20), F4)
     dry = wet_pass.DryPicture(blank, blank, depth, depth, blank, UNIT, F4(0))
-    view = VIEW._replace(ground_from_camera=level)
-    size = HEIGHT, WIDTH
-    below = F4(0.1)  # slope of a ray that meets what is 0.4 m below the eye
-    found = surface_point.standing_share(
-        turn_of(level), view, F4(0), below, F4(4), F4(0.2), LAYER, dry, size
+    view = View(level, F4([0, 0, 0.72]), *F4([100, 100, 10, 30]))  # shows it 0.2 m over the bed
+    ray = F4([0.005, 1, -0.105])
+    return surface_point.what_stands(
+        turn_of(level), view, 40, 10, ray, dry, depth.shape, poor_ground()
     )
-    assert found == pytest.approx(share)
+
+
+def test_what_goes_on_over_the_layer_stands_and_a_sheet_that_ends_there_does_not():
+    share, way = what_stands(1.0)
+    assert share > 0.8 and way == pytest.approx(4)
+    for over in (3.0, np.inf, 0.5):  # the last hangs before the ground
+        assert what_stands(over)[0] == 0
+    for odd in (0.4, 2.5):  # the depth of one pixel decides nothing
+        assert what_stands(1.0, odd)[0] == pytest.approx(share, abs=0.25)
+
+
+def test_what_stands_is_no_ground_and_lies_where_it_goes_on_over_the_layer():
+    ground, ray, eye = poor_ground(), F4([0.2, 1.0, -0.4]), F4([0, -1, 1.6])
+
+    def seen(height, share):
+        depth = F4((0.1 + height - 1.6) / ray[2])
+        point = SurfacePoint(*(eye + depth * ray), *F4([0, -1, 0]), depth)
+        return surface_point.on_bed(point, depth, depth, *ray, LAYER, (F4(share), F4(3)), ground)
+
+    for height in (-0.3, 0.2):
+        assert seen(height, 0)[0].ground == 1 and seen(height, 1)[0].ground == 0
+        assert seen(height, 0.5)[0].ground == pytest.approx(0.5)
+    stands, drawn = seen(-0.3, 1)
+    assert drawn == 3 and stands.ny == -1 and seen(-0.3, 0)[1] == pytest.approx(3.75)
 
 
 def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
@@ -308,7 +335,7 @@ def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
     def moved(height):
         depth = F4((0.1 + height - 1.6) / ray[2])
         point = SurfacePoint(*(F4([0, -1, 1.6]) + depth * ray), *F4([0, -1, 0]), depth)
-        return surface_point.on_bed(point, depth, depth, *ray, LAYER, ground)[1] - depth
+        return surface_point.on_bed(point, depth, depth, *ray, LAYER, NOTHING, ground)[1] - depth
 
     heights = np.arange(0.3, 1.0, 0.01)
     ways = np.array([moved(height) for height in heights])
@@ -316,8 +343,8 @@ def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
     assert np.abs(np.diff(ways)).max() < 0.1
     # A camera below the bed, as mirrored ones are, and one that looks up, see no ground.
     point = SurfacePoint(*F4([0, 0, 0.2]), *F4([0, -1, 0]), F4(1))
-    seen, _ = surface_point.on_bed(point, F4(1), F4(1), *F4([0, 1, 0.3]), LAYER, ground)
-    assert seen == point._replace(layer=LAYER)
+    seen, _ = surface_point.on_bed(point, F4(1), F4(1), *F4([0, 1, 0.3]), LAYER, NOTHING, ground)
+    assert seen == point._replace(ground=1)
     nowhere = point._replace(x=F4(np.nan), y=F4(np.nan))
     assert np.isfinite(
         surface_point.layer_at(ground, *map_place(nowhere.x, nowhere.y, ORIGIN, SPACING))
@@ -327,7 +354,7 @@ def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
 def test_ground_is_told_without_a_step_of_height_or_normal():
     heights, upness = np.linspace(-0.5, 0.6, 221), np.linspace(-1, 1, 201)
     share = np.array([
-        [surface_point.ground_share(F4(h), F4(u), F4(0)) for u in upness] for h in heights
+        [surface_point.ground_share(F4(h), F4(u), F4(-1)) for u in upness] for h in heights
     ])  # fmt: skip
     assert share[heights < 0.04].min() == 1 and share[heights > 0.41].max() == 0
     assert (

@@ -51,6 +51,17 @@ def test_a_leaf_that_is_turned_to_the_zenith_mirrors_it(skies):
     assert gloss_of(1.2 * GREEN, ONWARDS, SOAKED, skies) == 0
 
 
+def test_leaves_are_wet_by_half_however_they_lie_and_wood_by_its_slope():
+    def damp(normal, leaf, rain=SOAKED):
+        point = SurfacePoint(F4(3), F4(0), F4(1), *F4(normal), F4(3))
+        wet = wetting.wet_state(point, F4(1), F4(1), F4(0), F4(leaf), LEVEL, rain)
+        return wet.dampness
+
+    up, side, down = (0, 0, 1), (-1, 0, 0), (0, 0, -1)
+    assert [damp(n, 1) for n in (up, side, down)] == pytest.approx([0.5] * 3)
+    assert damp(up, 0) == 1 and damp(side, 0) < 0.01 and damp(up, 1, DRY) == 0
+
+
 def test_dry_leaves_and_wet_wood_do_not_gloss_as_wet_leaves_do(skies):
     assert gloss_of(GREEN, TO_ZENITH, DRY, skies) == 0
     wood = gloss_of(BROWN, TO_ZENITH, SOAKED, skies)
