@@ -1,7 +1,9 @@
-"""Rain on terrain over time: standing water at the start, then drops, flow and ripples.
+"""Rain on terrain over time: standing water at the start, then rain, flow and ripples.
 
 `simulate` yields the state at each frame's time. A state holds all that a picture needs besides
-the capture, the terrain and the seed: the drops in the air follow from the seed alone.
+the capture, the terrain and the seed: the drops in the air follow from the seed alone. Ground and
+objects take the rain evenly, as its rate and their shelter say: a cell gets tens of drops a second,
+and which ones is not seen in its depth. The drops that ring are listed on the ripples' tile.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.config.settings import mm_per_hour
-from rainsim.drops import GROUND, Surfaces, Weather, flat_surfaces, impacts
+from rainsim.drops import Surfaces, Weather, flat_surfaces, impacts
 from rainsim.errors import counted
 from rainsim.grid import WaterSolver
 from rainsim.io.states import SimState
@@ -148,34 +150,32 @@ def simulate(terrain, config, dtype=np.float32, first=None):
     warm_up(ripples, objects, weather, begun)
     objects.open_account()
     depth = velocity = None  # the maps of the start are let go
-    hits, report, number = None, None, index
+    report, number = None, index
     while True:
         time = index / config.fps
         if index > number:
             before = (index - 1) / config.fps
-            hits, fine = None, 0.0
-            rain = weather.field(before, time)
-            if rain is not None:  # drops on ground and objects; the finest as a rate
+            rain, rate = weather.field(before, time), 0.0
+            if rain is not None:
                 middle = 0.5 * (before + time)
+                fall = mm_per_hour(weather.rate(middle))
                 opened = moving.thinned(exposure, middle)
-                fine = rain.spectrum.fine_rate * opened
-                hits = impacts(rain, moving.at(middle), before, time)
-                landed = hits.take(hits.kind == GROUND)
-                solver.deposit(landed.row, landed.column, landed.volume)
-                objects.take_rain(hits, rain.spectrum.fine_rate * (time - before))
+                rate = fall * opened
+                objects.take_even_rain(fall * (time - before))
             solver.deposit(*objects.advance(before, time, weather))  # drips from objects
-            if rain:  # rings of both
-                rings = objects.with_drips(landed, before, time)
+            if rain is not None:
                 area = whole if opened is exposure else _area(terrain, opened)
-                ripples.advance(time - before, *tile_impacts(rings, area, ripples.size, time))
+                drips = objects.landed(before, time)
+                rings = rings_of(ripples.size, rain, before, time, drips, area)
+                ripples.advance(time - before, *rings)
             by_keyframes(solver, objects, before, time)
-            report = solver.advance(time - before, rain=fine)
-        deep, met = np.array(solver.depth, np.float32), _met(hits)
+            report = solver.advance(time - before, rain=rate)
+        deep = np.array(solver.depth, np.float32)
         flow = np.stack(solver.velocity).astype(np.float32, copy=False)
         ledger = objects.ledger(report, solver).as_dict()
-        hits = landed = fine = opened = None  # tens of MB that nobody needs while a frame is drawn
+        rate = opened = None  # tens of MB that nobody needs while a frame is drawn
         yield SimState(
-            index, time, deep, flow, ripples.slopes(), ripples.size, *met, ledger,
+            index, time, deep, flow, ripples.slopes(), ripples.size, ledger,
             notes if index == number else (), *objects.falling(),
             top_water=objects.top_water(),
         )  # fmt: skip
@@ -196,14 +196,6 @@ def ripple_tile(config, weather, depth, spacing):
 
 def _area(terrain, share):
     return float(share.sum()) * terrain.grid.cell_area
-
-
-def _met(hits):
-    """Return the positions, diameters and kinds of `Impacts`, or of none, as a state has them."""
-    if hits is None:
-        return np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
-    position, diameter = (np.asarray(a, np.float32) for a in (hits.position, hits.diameter))
-    return position, diameter, np.asarray(hits.kind, np.uint8)
 
 
 def tops_of(terrain, config, start):
@@ -234,7 +226,7 @@ def warm_up(ripples, objects, weather, time=0.0):
         rain = weather.field(begin, end)
         if rain is None:
             return
-        rings_on(ripples, rain, begin, end)
+        ripples.advance(end - begin, *rings_of(ripples.size, rain, begin, end))
     for begin, end in _steps(DRIP_WARM_UP, time):
         # Edges hold many drops: what matters is how much falls, not which drops do.
         rate = mm_per_hour(weather.rate(0.5 * (begin + end)))
@@ -242,11 +234,18 @@ def warm_up(ripples, objects, weather, time=0.0):
         objects.advance(begin, end, weather)
 
 
-def rings_on(ripples, rain, begin, end):
-    """Let the drops that fall on a level square the size of the tile make rings there."""
-    square = flat_surfaces(ripples.size, ripples.size, ripples.size / 8)
-    landed = impacts(rain, square, begin, end)
-    ripples.advance(end - begin, *tile_impacts(landed, square.area, ripples.size, end))
+def rings_of(size, rain, begin, end, drips=None, area=0.0):
+    """Return what rings on a tile in an interval [s], as `ripples.tile_impacts` does.
+
+    That is the rain on a level square of the tile's size [m], and its part of the `drips` that came
+    to an `area` [m2].
+    """
+    square = flat_surfaces(size, size, size / 8)
+    drops = tile_impacts(impacts(rain, square, begin, end), square.area, size, end)
+    if drips is None or area <= 0:
+        return drops
+    more = tile_impacts(drips, area, size, end)
+    return tuple(np.concatenate(both) for both in zip(drops, more, strict=True))
 
 
 def _steps(duration, time):

@@ -17,8 +17,6 @@ import numpy as np
 from rainsim.cuda.driver import Counted
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
-from rainsim.cuda.rain import settling
-from rainsim.cuda.rain.settling import CLASS, COLUMN, DIAMETER, KIND, ROW, TIME, X, Y, Z
 from rainsim.cuda.warp import GROUP, THREADS, ballot, claim_row
 from rainsim.numerics.random import uniform
 from rainsim.rain import poisson_cells
@@ -33,6 +31,26 @@ ROOM = 1.5  # of a list, over the hits that are expected on level ground
 _CHUNK = 2 * THREADS  # drops sought that a block of `fill_impacts` goes through together
 _FEW = 36  # cells that the cheap test of a path looks at
 _ASIDE = 1e-3  # of a cell, or m: how far it looks beyond
+# Places in a row of `values` (float64: place [m], diameter [m], time [s]) and of `labels` (int32).
+VALUES, LABELS = 5, 4
+X, Y, Z, DIAMETER, TIME = range(VALUES)
+CLASS, KIND, ROW, COLUMN = range(LABELS)
+
+
+class ImpactLists(NamedTuple):
+    """Lists of drops that ended, as `fill_impacts` writes them.
+
+    found : int32 device array (slots,). Drops in each list, also those for which
+        it has no room.
+    values : float64 device array (slots, room, VALUES). See X to TIME.
+    labels : int32 device array (slots, room, LABELS). See CLASS to COLUMN.
+    ids : uint64 device array (slots, room)
+    """
+
+    found: object
+    values: object
+    labels: object
+    ids: object
 
 
 class Columns(NamedTuple):
@@ -315,10 +333,10 @@ class Impacts:
         many = SOUGHT * room + 2**16  # those near tall things are sought for longer
         self._tasks = cuda.device_array((many, 2), i4)
         self._words = cuda.device_array(many, np.uint64)
-        self.lists = settling.ImpactLists(
+        self.lists = ImpactLists(
             cuda.to_device(np.zeros(slots, i4)),
-            cuda.device_array((slots, room, settling.VALUES), np.float64),
-            cuda.device_array((slots, room, settling.LABELS), i4),
+            cuda.device_array((slots, room, VALUES), np.float64),
+            cuda.device_array((slots, room, LABELS), i4),
             cuda.device_array((slots, room), np.uint64),
         )
 
@@ -352,20 +370,6 @@ class Impacts:
     def lacking(self):
         """Return how many hits the fullest list has no room for; waits."""
         return max(int(self._found.read(self.lists.found).max()) - self.room, 0)
-
-    def settle(self, start, stop, land, ripples, point, came_out):
-        """Queue the giving of the first list's water to `land`, `ripples` and drip points.
-
-        start, stop : float [s]. The interval that is listed.
-        land : DeviceSources
-        ripples : Ripples
-        point, came_out : device arrays. See `settling.settle`.
-        """
-        blocks = -(-self.room // THREADS) if not SIMULATED else 2
-        settling.settle[blocks, THREADS](
-            self.lists, float(start), float(stop), 0, self._fall, land.cells, ripples.tile, point,
-            land.waiting, came_out, ripples.pushes,
-        )  # fmt: skip
 
 
 def sent_surfaces(surfaces):

@@ -92,11 +92,7 @@ class GpuWaterSolver(WaterSolver):
         require_drops(rows, columns, volumes, self.shape)
         if len(rows):
             self.sources.deposit(rows, columns, volumes)
-            self.note_drops()
-
-    def note_drops(self):
-        """Take note that drops wait in `sources.waiting` for the next `advance`."""
-        self._has_deposits = True
+            self._has_deposits = True
 
     @property
     def depth(self):

@@ -1,7 +1,6 @@
 """Twin of `rainsim.simulation`: rain on terrain over time, its water never leaving the device.
 
-A step lists the drops that end in its interval, gives their water to the ground and to the ripples
-and sums up what falls on each object. What drips from objects the host decides, as on the CPU.
+What rings on the tile, and what drips from objects, the host decides as on the CPU.
 """
 
 from __future__ import annotations
@@ -11,20 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rainsim import simulation as host
-from rainsim.cuda.driver import Counted, copy_to_device, one_fault
-from rainsim.cuda.drops import Impacts, room_for
+from rainsim.config.settings import mm_per_hour
+from rainsim.cuda.driver import one_fault
 from rainsim.cuda.grid import GpuWaterSolver
-from rainsim.cuda.jit import cuda, pinned
 from rainsim.cuda.rain.drip_list import DripList
 from rainsim.cuda.rain.moving_surfaces import Shelter
-from rainsim.cuda.rain.settling import VOLUME_UNIT
 from rainsim.cuda.water.ripples import Ripples
 from rainsim.drops import Weather
 from rainsim.io.states import NO_DRIPS, NO_IDS
 from rainsim.rain.exposure import rain_exposure
 from rainsim.rain.moving_surfaces import FRAMES_AHEAD
 from rainsim.water.keyframed import moved_water
-from rainsim.water.ripples import LAYERS, tile_impacts
 
 
 @dataclass
@@ -106,17 +102,9 @@ class Simulation:
         self.water = GpuWaterSolver(solver, exposure)
         self.ripples = Ripples(tile, interval)
         self.drip_list = None if objects.drips is None else DripList()
-        self._impacts = self._shelter = None
-        if self.weather.rains:
-            field = self.weather.field(0.0, interval)
-            self._impacts = Impacts(field, surfaces, room_for(field, surfaces, interval))
-            still = np.full(surfaces.shape, -2, np.int32)
-            point = still if objects.drips is None else objects.drips.point
-            self._nothing = pinned(int(point.max(initial=-1)) + 2, np.int64)
-            self._point, self._came = cuda.to_device(point), cuda.to_device(self._nothing)
-            self._counted = Counted(len(self._nothing), np.int64)
-            if terrain.footprints:
-                self._shelter = Shelter(terrain, wind, self.water.sources, self._impacts)
+        self._shelter = None
+        if self.weather.rains and terrain.footprints:
+            self._shelter = Shelter(terrain, wind, self.water.sources)
         self._index = -1
 
     def advance(self):
@@ -142,29 +130,21 @@ class Simulation:
         """Let it rain and flow from the frame before to the one of this number."""
         water, objects, ripples = self.water, self._objects, self.ripples
         before, time = self._interval(index)
-        rain, fine = self.weather.field(before, time), 0.0
+        rain, fall = self.weather.field(before, time), 0.0
         if rain is not None:
-            fine = rain.spectrum.fine_rate
+            fall = mm_per_hour(self.weather.rate(0.5 * (before + time)))
             if self._shelter is not None:
                 frames = range(index, index + 1 + FRAMES_AHEAD)
                 self._shelter.move(*(0.5 * sum(self._interval(n)) for n in frames))
-            area = water.sources.exposed * water.spacing**2
-            self._impacts.list(rain, before, time)
-            ripples.let_ring(ripples.tile.size**2 / area / LAYERS if area > 0 else 0.0)
-            self._impacts.settle(before, time, water.sources, ripples, self._point, self._came)
-            water.note_drops()
-            came = self._counted.read(self._came) * VOLUME_UNIT
-            copy_to_device(self._nothing, self._came)
-            objects.take_water(came, fine * (time - before))
+            objects.take_even_rain(fall * (time - before))
         water.deposit(*objects.advance(before, time, self.weather))
         if rain is not None:
-            landed = objects.landed(before, time)
-            if landed is not None and area > 0:
-                drops = tile_impacts(landed, area, ripples.tile.size, time)
-                ripples.ring(*drops[:2], drops[2] / (time - before))
+            area, drips = water.sources.exposed * water.spacing**2, objects.landed(before, time)
+            rings = host.rings_of(ripples.tile.size, rain, before, time, drips, area)
+            ripples.ring(*rings[:2], rings[2] / (time - before))
             ripples.advance()
         self._by_keyframes(water, objects, before, time)
-        water.advance(time - before, rain=fine)
+        water.advance(time - before, rain=fall)
 
 
 def simulate(terrain, config):

@@ -34,11 +34,6 @@ class SimState:
     slopes : ndarray of shape (2, n, n), float32
         Ripple slopes d eta/dx and d eta/dy on a periodic tile of `tile_size`.
     tile_size : float [m]
-    impact_position : ndarray of shape (k, 3), float32 [m]
-        Where drops hit between the frame before and this one.
-    impact_diameter : ndarray of shape (k,), float32 [m]
-    impact_kind : ndarray of shape (k,), uint8
-        `drops.GROUND` (or the water on it) or `drops.OBSTACLE`.
     ledger : dict
         Volumes in m3, see `rainsim.ledger`.
     notes : tuple of str
@@ -55,9 +50,6 @@ class SimState:
     velocity: np.ndarray
     slopes: np.ndarray
     tile_size: float
-    impact_position: np.ndarray
-    impact_diameter: np.ndarray
-    impact_kind: np.ndarray
     ledger: dict
     notes: tuple = ()
     drips: np.ndarray = field(default_factory=NO_DRIPS.copy)
@@ -73,18 +65,15 @@ class SimState:
         return replace(self, time=time)
 
 
-VERSION = 1
+VERSION = 2  # version 1 lists the drops that fell, too
 STATE, STATE_REMEDY = "water state", "`rainsim simulate` writes it; simulate again"
-FARTHEST, LONGEST = 1e7, 1e9  # m, s: places and times in a file
+LONGEST = 1e9  # s, of times in a file
 FRAME_RATES, ROUNDED = (0.1, 9999.0), 1 + 1e-9  # frames/s, as of the setting fps
 LONGEST_FALL, LARGEST_DROP = 500.0, 0.05  # s, m: of drips
 _FIELDS = {
     "depth": Field("float32", ("ny", "nx"), 0, 1e5),
     "velocity": Field("float32", (2, "ny", "nx"), -1e4, 1e4),
     "slopes": Field("float32", (2, "tile cells", "tile cells"), -1e4, 1e4),
-    "impact_position": Field("float32", ("impacts", 3), -FARTHEST, FARTHEST),
-    "impact_diameter": Field("float32", ("impacts",), 0, LARGEST_DROP),
-    "impact_kind": Field("uint8", ("impacts",), 0, 1),
     "drips": Field("float64", ("drips", len(DRIP_COLUMNS)), -LONGEST, LONGEST),
     "drip_id": Field("uint64", ("drips",), 0, 2**64 - 1),
     "top_water": Field("float64", ("tops",), 0, 1e9),

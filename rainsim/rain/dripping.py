@@ -103,28 +103,10 @@ class Drips:
         """
         return self._room
 
-    def take_rain(self, hits, fine_depth=0.0):
-        """Give the objects the drops that fell on them and a depth [m] of finer rain.
-
-        Returns float. The water that came [m3].
-        """
-        hit = hits.kind == OBSTACLE
-        goes, volume = self.point[hits.row[hit], hits.column[hit]], hits.volume[hit]
-        came = np.bincount(goes[goes >= 0], volume[goes >= 0], minlength=len(self._store))
-        return self.take_water(came, float(volume[goes < 0].sum()), fine_depth)
-
     def take_even_rain(self, depth):
         """Give the objects a depth [m] of even rain; return the water that came [m3]."""
-        return self.take_water(0.0, 0.0, depth)
-
-    def take_water(self, came, lost, depth):
-        """Give the objects water [m3] that goes to each point and to none, and even rain [m].
-
-        Returns float. The water that came [m3].
-        """
         each = depth * self._surfaces.spacing**2
-        came = self._cells * each + came
-        lost += each * self._stuck
+        came, lost = self._cells * each, self._stuck * each
         self._lost += lost
         self._receive(came)
         return float(came.sum()) + lost

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rainsim.drops import GROUND, joined
-from rainsim.rain.dripping import Drips, drip_impacts
+from rainsim.drops import GROUND
+from rainsim.rain.dripping import LOWEST, Drips, drip_impacts
 
 SMALLEST_ROOM = 1e-30  # m3, keeps tops without water from a division by zero
 
@@ -29,6 +29,8 @@ class Objects:
         self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
         self._surfaces, self._roughness = surfaces, rain.roughness
         self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
+        solid = surfaces.top - surfaces.ground > LOWEST
+        self._area = float(np.count_nonzero(solid)) * surfaces.spacing**2
         self.tops = tops
         self._on_tops = tops.after(rain.past, dried)
         if self.drips is not None:
@@ -66,28 +68,14 @@ class Objects:
         if self.drips is not None:
             self.initial = self.drips.held + self.drips.airborne
 
-    def take_rain(self, hits, fine_depth):
-        """Give the objects the drops that fell on them, and a depth [m] of finer rain."""
-        if self.drips is not None:
-            self._came += self.drips.take_rain(hits, fine_depth)
-        else:
-            self.take_water(hits.volume[hits.kind != GROUND], fine_depth)
-
-    def take_water(self, came, fine_depth):
-        """Give the objects water [m3] that goes to each drip point and, the last, to none.
-
-        fine_depth : float [m]. Of the rain that is too fine for drops.
-        """
-        if self.drips is not None:
-            self._came += self.drips.take_water(came[:-1], float(came[-1]), fine_depth)
-        else:
-            self._came += float(came.sum())
-            self._kept += float(came.sum())
-
     def take_even_rain(self, depth):
         """Give the objects a depth [m] of rain that falls evenly."""
+        came = self._area * depth
         if self.drips is not None:
-            self._came += self.drips.take_even_rain(depth)
+            came = self.drips.take_even_rain(depth)
+        else:
+            self._kept += came
+        self._came += came
 
     def let_in(self, solver, rows, columns, volumes):
         """Give the ground water that comes from outside; withdraw negative volumes [m3] from it."""
@@ -104,11 +92,6 @@ class Objects:
         rows, columns, volumes = self.drips.advance(start, stop, *wind)
         self._returned += float(volumes.sum())
         return rows, columns, volumes
-
-    def with_drips(self, hits, start, stop):
-        """Return `hits` and the drips that came to the ground from `start` to `stop` [s]."""
-        landed = self.landed(start, stop)
-        return hits if landed is None else joined(hits, landed)
 
     def landed(self, start, stop):
         """Return the drips that came to the ground from `start` to `stop` [s], or None."""

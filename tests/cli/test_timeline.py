@@ -21,10 +21,10 @@ def test_the_rain_comes_grows_and_ends_and_the_water_stands():
     run = simulate(ground, config)
     states = [next(run) for _ in range(17)]  # 8 s
     water = np.array([s.depth.sum() for s in states])
-    drops = np.array([len(s.impact_diameter) for s in states])
-    assert water[0] == 0 == drops[0]
-    assert 0 < drops[3] < drops[6] < drops[10]  # light, moderate, heavy
-    assert not drops[14:].any() and water[-1] > 0.3 * water.max() > 0
+    rain = np.diff([s.ledger["rain"] for s in states])
+    assert water[0] == 0
+    assert 0 < rain[3] < rain[6] < rain[9]  # light, moderate, heavy
+    assert abs(rain[13:]).max() < 1e-9 and water[-1] > 0.3 * water.max() > 0
     assert abs(states[-1].ledger["residual"]) < 1e-6
     assert config.at(5.0).rain.rate == mm_per_hour(50.0)
 

@@ -8,8 +8,7 @@ from rainsim.cuda.drops import Impacts
 from rainsim.cuda.particles.splash_pass import Splashes
 from rainsim.cuda.particles.streaks import Streaks
 from rainsim.cuda.rain.drip_list import DripList
-from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces
-from rainsim.drops import Impacts as Hits
+from rainsim.drops import RainField, RainSpectrum, Surfaces
 from rainsim.particles.splash_pass import draw_splashes
 from rainsim.particles.streaks import draw_streaks
 from rainsim.rain.dripping import Drips, drip_impacts, drips_seen
@@ -18,7 +17,7 @@ from rainsim.scene.types import Camera
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
-STEP, WIND, ROUGHNESS, FINE = 1 / 20, (1.5, -0.7), 0.03, 2e-6
+STEP, WIND, ROUGHNESS, RAIN = 1 / 20, (1.5, -0.7), 0.03, 2e-5
 FIELD = RainField(RainSpectrum(20.0), seed=4)
 
 
@@ -32,24 +31,13 @@ def shelves():
     return Surfaces(0.08, (-0.5, -0.4), ground, top, under)
 
 
-def hits_on(surfaces, rng):
-    """Drops that fell on objects."""
-    row, column = rng.integers(0, 12, (2, 60))
-    kind = np.where(surfaces.top[row, column] > 0.05, OBSTACLE, GROUND).astype(np.uint8)
-    many = len(row)
-    return Hits(
-        np.zeros((many, 3)), np.zeros((many, 3)), 2e-3 + 4e-3 * rng.random(many), np.zeros(many),
-        kind, row.astype(np.int32), column.astype(np.int32), np.arange(many, dtype=np.uint64),
-    )  # fmt: skip
-
-
 @pytest.fixture(scope="module")
 def listed():
     """Surfaces, the table of drips on them after some steps of rain, and their ids."""
-    surfaces, rng = shelves(), np.random.default_rng(2)
+    surfaces = shelves()
     drips = Drips(surfaces, seed=3)
     for n in range(-6, 10):
-        drips.take_rain(hits_on(surfaces, rng), FINE)
+        drips.take_even_rain(RAIN)
         drips.advance(n * STEP, (n + 1) * STEP, WIND, ROUGHNESS)
     return surfaces, *drips.falling()
 

@@ -8,10 +8,7 @@ import pytest
 from rainsim.cuda import simulated
 from rainsim.cuda.drops import Impacts, room_for
 from rainsim.cuda.rain.impact_history import RecentImpacts
-from rainsim.cuda.rain.settling import PUSH_UNIT, VOLUME_UNIT, CellLayout, RippleTile
-from rainsim.cuda.water.flow import UNIT
 from rainsim.drops import GROUND, OBSTACLE, RainField, RainSpectrum, Surfaces, impacts
-from rainsim.water.ripples import SIZE_MOMENTA, SIZES
 
 assert simulated()
 # Plain numpy numbers warn where a GPU's wrap.
@@ -26,22 +23,6 @@ def roofed():
     top, under = ground.copy(), ground.copy()
     top[:6], under[:6] = -0.1, -0.2
     return Surfaces(0.08, (-0.5, -0.6), ground, top, under)
-
-
-class Ground:
-    """What `settle` adds to, blank."""
-
-    def __init__(self, surfaces, cells=8, share=2.0):
-        ny, nx = surfaces.shape
-        self.cells = CellLayout(2 * nx, nx + 7, surfaces.spacing**2)
-        self.waiting = np.zeros(2 * nx + ny * self.cells.width, np.int64)
-        self.tile = RippleTile(1.0, 4, cells, share)
-        self.pushes = np.zeros(SIZES * self.tile.steps * cells * cells, np.int64)
-
-    def depths(self, surfaces):
-        """Return the depth [m] that waits in each cell."""
-        waiting = self.waiting[self.cells.first :].reshape(-1, self.cells.width) * UNIT
-        return waiting[:, : surfaces.shape[1]]
 
 
 @pytest.fixture(scope="module")
@@ -67,29 +48,6 @@ def test_the_list_is_that_of_the_cpu(listed):
     np.testing.assert_allclose(values[:, 4], wanted.time, atol=1e-9)
     np.testing.assert_array_equal(labels[:, 1], wanted.kind)
     np.testing.assert_array_equal(labels[:, 2:], np.stack([wanted.row, wanted.column], axis=1))
-
-
-def test_the_water_goes_where_it_fell(listed):
-    _, surfaces, wanted, twin = listed
-    ground = Ground(surfaces)
-    point, came = np.full(surfaces.shape, -2, np.int32), np.zeros(3, np.int64)
-    point[:, :8], point[:, 8:12] = 0, 1
-    twin.settle(START, STOP, ground, ground, point, came)
-    landed = wanted.take(wanted.kind == GROUND)
-    depth = np.zeros(surfaces.shape)
-    np.add.at(depth, (landed.row, landed.column), landed.volume / surfaces.spacing**2)
-    np.testing.assert_allclose(ground.depths(surfaces), depth, atol=1e-14)
-    hit = wanted.take(wanted.kind == OBSTACLE)
-    goes = np.searchsorted([8, 12], hit.column, side="right")
-    asked = np.bincount(goes, hit.volume, minlength=3)
-    assert (asked > 0).sum() > 1
-    np.testing.assert_allclose(came * VOLUME_UNIT, asked, rtol=1e-6)
-    momentum = -1000 * landed.volume * landed.velocity[:, 2]
-    sizes = np.searchsorted(SIZE_MOMENTA, momentum, side="right")
-    asked = np.bincount(sizes, momentum, minlength=SIZES)
-    assert (asked > 0).sum() > 1
-    pushed = ground.pushes.reshape(SIZES, -1).sum(axis=1) * PUSH_UNIT
-    np.testing.assert_allclose(pushed, asked, rtol=1e-6)
 
 
 def test_a_short_list_is_made_longer(listed):

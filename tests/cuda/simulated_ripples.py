@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
-from rainsim.cuda.rain.settling import PUSH_UNIT
-from rainsim.cuda.water.ripples import Ripples
+from rainsim.cuda.water.ripples import PUSH_UNIT, Ripples
 from rainsim.errors import ParameterError
 from rainsim.reflection.slope_moments import ripple_moments
 from rainsim.water.ripples import _LONGEST_STEP, SIZE_MOMENTA, SIZES, RippleTile

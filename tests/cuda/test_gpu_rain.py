@@ -90,8 +90,7 @@ def test_impacts_are_those_of_the_cpu(field, surfaces):
 
 
 def test_ripples_are_those_of_the_cpu():
-    from rainsim.cuda.rain.settling import PUSH_UNIT
-    from rainsim.cuda.water.ripples import Ripples
+    from rainsim.cuda.water.ripples import PUSH_UNIT, Ripples
 
     rng = np.random.default_rng(0)
     tile = RippleTile(depth=0.02, dtype=np.float32)

@@ -11,7 +11,6 @@ CUDA_ONLY = {
     "kernel_cache.py",  # machine code on disk, by numba-cuda's classes
     "rain/impact_history.py",  # hits of the last frames, which the CPU computes again
     "rain/drip_list.py",  # drips in the air, which the CPU keeps in one array
-    "rain/settling.py",  # lists of drops that ended, and where their water goes
     "render/device_tables.py",  # maps and numbers that the passes read
     "splatting/sort.py",  # the sort of all tiles' entries at once
     "scalars.py",  # sums and lists over a grid of threads

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from made_rain import config, ground, mm_per_hour, states
-from rainsim.drops import OBSTACLE, RainField, RainSpectrum, Surfaces, drop_volume, impacts
+from rainsim.drops import OBSTACLE, Surfaces, drop_volume
 from rainsim.rain.dripping import Drips, drift, drip_impacts, drips_seen, fall_time, fallen
 from rainsim.rain.size_distribution import terminal_speed
 from rainsim.simulation import simulate
@@ -21,14 +21,11 @@ def table(height=0.7, thick=0.04, size=60, half=15):
     return Surfaces(0.02, (-0.6, -0.6), level, top, under)
 
 
-def rain_on(surfaces, drips, rate=60.0, steps=60, step=0.05, fine=True, wind=(0, 0)):
+def rain_on(drips, steps=60, step=0.05, wind=(0, 0)):
     """Rain on the objects; return what came and where and how much of it reached the ground."""
-    field = RainField(RainSpectrum(rate), seed=3)
     came, rows, columns, volumes = 0.0, [], [], []
     for n in range(steps):
-        hits = impacts(field, surfaces, n * step, (n + 1) * step)
-        depth = field.spectrum.fine_rate * step if fine else 0.0
-        came += drips.take_rain(hits, depth)
+        came += drips.take_even_rain(mm_per_hour(60.0) * step)
         for into, values in zip(
             (rows, columns, volumes), drips.advance(n * step, (n + 1) * step, wind), strict=True
         ):
@@ -49,8 +46,8 @@ def test_the_water_is_on_the_object_in_the_air_or_on_the_ground():
         surfaces = table()
         drips = Drips(surfaces, seed=1, wet=wet)
         before = drips.held
-        came, _, _, volumes = rain_on(surfaces, drips)
-        assert came == pytest.approx(mm_per_hour(60) * 3.0 * 0.36, rel=0.1)
+        came, _, _, volumes = rain_on(drips)
+        assert came == pytest.approx(mm_per_hour(60) * 3.0 * 0.36, rel=1e-6)
         assert before + came == pytest.approx(
             drips.held + drips.airborne + volumes.sum(), rel=1e-12
         )
@@ -59,7 +56,7 @@ def test_the_water_is_on_the_object_in_the_air_or_on_the_ground():
 
 def test_drips_land_at_the_foot_of_the_edge_and_nowhere_under_the_table():
     surfaces = table()
-    _, rows, columns, volumes = rain_on(surfaces, Drips(surfaces))
+    _, rows, columns, volumes = rain_on(Drips(surfaces))
     beside = np.maximum(np.abs(rows - 29.5), np.abs(columns - 29.5))
     assert len(volumes) > 100 and set(np.unique(beside)) == {15.5}
     sides = [(rows == 14), (rows == 45), (columns == 14), (columns == 45)]
@@ -83,7 +80,7 @@ def test_a_wall_sheds_at_its_foot_without_drops():
     surfaces = table()
     block = Surfaces(0.02, (-0.6, -0.6), surfaces.ground, surfaces.top, surfaces.ground)
     drips = Drips(block)
-    came, rows, columns, volumes = rain_on(block, drips)
+    came, rows, columns, volumes = rain_on(drips)
     assert len(drips.falling()[1]) == 0 and drips.airborne == 0
     assert volumes.sum() == pytest.approx(came, rel=1e-9)
     assert set(np.maximum(np.abs(rows - 29.5), np.abs(columns - 29.5))) == {15.5}
@@ -96,7 +93,7 @@ def test_drips_from_a_roof_go_on_from_the_table_below():
     both = Surfaces(0.02, (-0.6, -0.6), low.ground, top, under)
     drips = Drips(both)
     before = drips.held
-    came, rows, columns, volumes = rain_on(both, drips)
+    came, rows, columns, volumes = rain_on(drips)
     assert before + came == pytest.approx(drips.held + drips.airborne + volumes.sum(), rel=1e-12)
     assert set(np.maximum(np.abs(rows - 29.5), np.abs(columns - 29.5))) == {15.5}
     hits = drip_impacts(*drips.falling(), both, 0.0, 9.0)
@@ -121,7 +118,7 @@ def test_a_drip_falls_from_rest_with_drag():
 def test_what_is_drawn_is_where_the_drips_are():
     surfaces = table()
     drips = Drips(surfaces)
-    rain_on(surfaces, drips)
+    rain_on(drips)
     listed, ids = drips.falling()
     assert len(ids) == len(np.unique(ids)) > 5
     seen = drips_seen(listed, 3.0, 1 / 60)
@@ -158,7 +155,7 @@ def test_drips_are_those_of_the_seed():
     tables = []
     for seed in (1, 1, 2):
         drips = Drips(surfaces, seed)
-        rain_on(surfaces, drips, steps=20)
+        rain_on(drips, steps=20)
         tables.append(drips.falling()[0].tobytes())
     assert tables[0] == tables[1] != tables[2]
 
@@ -166,7 +163,7 @@ def test_drips_are_those_of_the_seed():
 def test_ground_alone_has_no_drips():
     level = np.zeros((5, 5), np.float32)
     drips = Drips(Surfaces(0.02, (0, 0), level, level, level))
-    came, _, _, volumes = rain_on(Surfaces(0.02, (0, 0), level, level, level), drips, steps=2)
+    came, _, _, volumes = rain_on(drips, steps=2)
     assert came == 0 == volumes.sum() == drips.held
     assert drop_volume(4.5e-3) > 0
 
@@ -180,8 +177,8 @@ def test_wind_carries_drips_as_drag_has_it():
     assert drift(0.8, 4.5e-3) == pytest.approx(x, rel=2e-3)
     surfaces = table()
     still, blown = Drips(surfaces), Drips(surfaces)
-    rain_on(surfaces, still)
-    _, _, columns, _ = rain_on(surfaces, blown, wind=(8.0, 0.0))
+    rain_on(still)
+    _, _, columns, _ = rain_on(blown, wind=(8.0, 0.0))
     assert columns.max() > 45  # beyond the foot of the edge
     (calm, ids), (windy, same) = still.falling(), blown.falling()
     assert len(ids) > 3 and (ids == same).all()

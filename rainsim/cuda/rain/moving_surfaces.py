@@ -54,24 +54,20 @@ class Shelter:
     terrain : Terrain. With footprints.
     wind : tuple. As `MovingSurfaces` takes it, and the roughness.
     sources : DeviceSources. Of the water.
-    impacts : Impacts. The drops that are listed.
     """
 
-    def __init__(self, terrain, wind, sources, impacts):
+    def __init__(self, terrain, wind, sources):
         self._moving, self._sources = MovingSurfaces(terrain, *wind), sources
         self._shelters, self._opened = [], sources.exposure.copy()
-        self._heights = MovingHeights(self._moving.still, terrain.footprints)
-        impacts.surfaces = self._heights.fields
 
     def move(self, time, *following):
-        """Let drops meet the map as it is at a time [s], and less rain reach the ground below.
+        """Let less rain reach the ground below what is there at a time [s].
 
         Those of the `following` times [s] are looked for beside what is done next.
         """
-        surfaces, shelters = self._moving.moment(time)
+        _, shelters = self._moving.moment(time)
         if may_run_beside():
             self._moving.look_ahead(following)
-        self._heights.send(surfaces)
         if shelters is self._shelters:
             return
         exposure = self._sources.exposure

@@ -83,7 +83,7 @@ class Strip:
             marked[rows[0] - PAD : rows[-1] + 3, columns[0] - PAD : columns[-1] + 3] = True
         self._at = np.nonzero(marked)
         rows, columns = self._at
-        self._places = cuda.to_device(rows * flow.cells.width + columns + LEAD)
+        self._places = cuda.to_device(rows * flow.layout.pitch + columns + LEAD)
         self._blocks, shape = -(-len(rows) // THREADS), (FILM + 1, len(rows))
         self._values, self._staging = np.zeros(shape, np.float32), Staging()
         self._table, self._counted = cuda.to_device(self._values), Counted(shape, np.float32)

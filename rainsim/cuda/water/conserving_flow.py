@@ -13,7 +13,6 @@ import numpy as np
 
 from rainsim.cuda.driver import Counted
 from rainsim.cuda.jit import cuda
-from rainsim.cuda.rain.settling import CellLayout
 from rainsim.cuda.water import flow as lean
 from rainsim.water.bundles import FrictionNumbers, Ground
 from rainsim.water.conserving import PAD
@@ -25,7 +24,6 @@ class DeviceLeanFlow(LeanFlow):
 
     flow : LeanFlow. Of float32; `restore` takes over its state.
     layout : flow.Layout
-    cells : CellLayout
     parity : int. Which copy of the fields is the present one.
     fields, remainder : float32 device array. See `flow.step`.
     strip : conditions.Strip or None. What conditions at edges read and write.
@@ -41,8 +39,6 @@ class DeviceLeanFlow(LeanFlow):
             flow.viscosity,
         )  # fmt: skip
         self.layout = lean.layout_of(self.bed.shape, self.edge_is_open, rough is not None)
-        wide = self.layout.pitch
-        self.cells = CellLayout(PAD * wide + PAD + lean.LEAD, wide, self._spacing**2)
         rough = np.zeros_like(self.bed) if rough is None else self.roughness
         self._ground = Ground(self.sent(self.bed), self.sent(rough))
         self.strip, self.has_changed, self.parity = None, True, 0
@@ -75,7 +71,7 @@ class DeviceLeanFlow(LeanFlow):
     def places(self, rows, columns):
         """Return the places of cells in the device's maps, ndarray of int64."""
         rows, columns = np.asarray(rows, np.int64), np.asarray(columns, np.int64)
-        return self.cells.first + rows * self.cells.width + columns
+        return (rows + PAD) * self.layout.pitch + columns + PAD + lean.LEAD
 
     def present(self, which):
         """Return a field of the present copy, a flat view: 0 for depth, then both velocities."""

@@ -9,20 +9,74 @@ two dimensions.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.cuda.driver import SentRows
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
-from rainsim.cuda.rain.settling import PUSH_UNIT, RippleTile, ring_each
 from rainsim.errors import ParameterError
 from rainsim.reflection.slope_moments import MOMENTS, mean_of_four, place_of, ripple_moments
-from rainsim.water.ripples import _LONGEST_STEP, SIZES
+from rainsim.water.ripples import _LONGEST_STEP, SIZE_MOMENTA, SIZES
 
 MOST = 256  # cells along a side of the tile
 THREADS = 32 if SIMULATED else 128
 CELLS = (4, 4) if SIMULATED else (32, 4)  # threads of a block that take a cell each
+# kg m/s: momentum is summed in whole numbers of it, so that the order of drops does not matter.
+PUSH_UNIT = 2.0**-60
+
+
+class RippleTile(NamedTuple):
+    """The periodic tile on which drops ring.
+
+    size : float [m]. Side.
+    steps, cells : int. Parts of an interval, and cells along a side.
+    """
+
+    size: float
+    steps: int
+    cells: int
+
+
+@cuda_kernel
+def ring_each(count, drops, tile, pushes_out):
+    """Let drops ring on the tile.
+
+    count : int
+    drops : float64 device array (room, 4). Place (x, y) [m], momentum [kg m/s], and
+        the time since it came down over the interval's length.
+    tile : RippleTile
+    pushes_out : int64 device array (SIZES * 2 * maps * cells * cells,). Momentum by
+        size of the drops, part of the interval (two in a map) and cell of the
+        tile, in PUSH_UNIT; added to.
+    """
+    for n in range(cuda.grid(1), count, cuda.gridsize(1)):
+        _ring(drops[n, 0], drops[n, 1], drops[n, 2], drops[n, 3], tile, pushes_out)
+
+
+@cuda.jit(device=True)
+def _ring(x, y, momentum, age, tile, pushes_out):
+    """Let a drop ring on the tile; see `ring_each`."""
+    push, steps, cells = momentum / PUSH_UNIT, tile.steps, tile.cells
+    step = min(max(steps - 1 - int(age * steps), 0), steps - 1)
+    for least in SIZE_MOMENTA:
+        if momentum >= least:
+            step += 2 * ((steps + 1) // 2)
+    x, y = x / tile.size, y / tile.size
+    x, y = (x - math.floor(x)) * cells, (y - math.floor(y)) * cells
+    i, j = int(x), int(y)
+    right, up = x - i, y - j
+    for side in range(4):
+        di, dj = side & 1, side >> 1
+        part = (right if di == 1 else 1.0 - right) * (up if dj == 1 else 1.0 - up)
+        place = (step * cells + (j + dj) % cells) * cells + (i + di) % cells
+        cuda.atomic.add(pushes_out, place, _whole(push * part))
+
+
+@cuda.jit(device=True)
+def _whole(x):
+    return np.int64(math.floor(x + 0.5))
 
 
 @cuda.jit(device=True)
@@ -184,18 +238,17 @@ class Ripples:
 
     tile : RippleTile. Its state is copied and it is left alone.
     duration : float [s]. From one frame to the next.
-    share : float. See `let_ring`.
-    tile : settling.RippleTile. Its `steps` are the parts of the interval in which
+    tile : RippleTile. Its `steps` are the parts of the interval in which
         impacts are put together.
     pushes : device array, int64. Momentum of drops that fell since, in
-        `settling.PUSH_UNIT`: for each size of drops and each part a map of
+        PUSH_UNIT: for each size of drops and each part a map of
         (cells, cells), one after the other.
     moments : float32 device array (n, n + n // 2, MOMENTS). Of slopes and
         heights, see `rainsim.reflection.slope_moments`; of the last `advance`.
     Raises ParameterError if the tile's cells are no power of two or too many.
     """
 
-    def __init__(self, tile, duration, share=1.0):
+    def __init__(self, tile, duration):
         n = tile.cells
         if n & (n - 1) or not 8 <= n <= MOST:
             raise ParameterError(
@@ -203,7 +256,7 @@ class Ripples:
                 f"to {MOST}"
             )
         steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
-        self.tile = RippleTile(tile.size, steps, n, float(share))
+        self.tile = RippleTile(tile.size, steps, n)
         self._maps = SIZES * ((steps + 1) // 2)
         step = duration / steps
         shrink, angle = np.exp(-tile._damping * step), tile._omega * step
@@ -225,10 +278,6 @@ class Ripples:
         self._maps_on_device = [cuda.to_device(maps) for _ in range(4)]
         self._surface = cuda.to_device(flat), cuda.to_device(flat)
         self.moments = cuda.to_device(ripple_moments(tile.slopes()))
-
-    def let_ring(self, share):
-        """Let a share of the drops on the ground ring on the tile."""
-        self.tile = self.tile._replace(share=float(share))
 
     def ring(self, position, momentum, age):
         """Queue the ringing of drops of the host.

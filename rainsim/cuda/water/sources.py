@@ -1,7 +1,7 @@
 """Rain, films, infiltration and drains on a CUDA device: twin of `rainsim.water.sources`.
 
-Drops that settle on the device wait as whole numbers, so that their order does not matter, until
-the sources are applied for no time. A cell drains or its ground takes water, not both.
+Drops that are deposited wait as whole numbers, so that their order does not matter, until the
+sources are applied for no time. A cell drains or its ground takes water, not both.
 """
 
 from __future__ import annotations
@@ -131,15 +131,14 @@ class DeviceSources:
     exposure : float32 array (ny, nx), optional. Share of the rain that falls on
         each cell; that of `given` by default.
     exposed : float. Share of the rain that falls on each cell, summed over them.
-    cells : CellLayout. Of `waiting`.
-    waiting : int64 device array. Depth of drops that have settled since, in UNIT.
+    waiting : int64 device array. Depth of drops that were deposited since, in UNIT.
     film_there : float32 device array. The films.
     depth : float32 device array (ny, nx) [m]. Depth above the bed, film included,
         as of the last `apply` or `standing`.
     """
 
     def __init__(self, flow, given, exposure=None):
-        self._flow, self._area, self.cells = flow, flow.cells.area, flow.cells
+        self._flow, self._area = flow, flow._spacing**2
         self.drains, self.storage, self.infiltration = (
             given.drains, given.storage, given.infiltration
         )  # fmt: skip
