@@ -7,7 +7,7 @@ import numpy as np
 from rainsim.constants import HALF, ONE, QUARTER, ZERO
 from rainsim.jit import TAKERS, cpu_kernel, none_taken, prange, serial_kernel, take_next
 from rainsim.numerics.approximations import exp_minus
-from rainsim.splatting.lanes import MAX_ALPHA, TRANSMITTANCE_STOP
+from rainsim.splatting.lanes import MAX_ALPHA, TRANSMITTANCE_STOP, prefetch
 from rainsim.splatting.prepared import LANES
 from rainsim.splatting.project import MIN_ALPHA_LOG2, R_CONIC, R_LEVEL, R_U, R_V, TILE
 from rainsim.splatting.tiles import DIGITS, RECORD_MASK, sort_keys
@@ -16,6 +16,7 @@ LN2 = np.float32(np.log(2))
 OPAQUE_MOST = np.float32(MAX_ALPHA)
 EIGHT = np.float32(8)
 EVERY = 8  # splats after which it is asked whether they hide all others
+AHEAD = 16  # entries by which records are fetched before they are read
 
 
 @cpu_kernel
@@ -61,6 +62,8 @@ def weigh_tiles(record, entry, start, width, part, step, weight_out):
                 if hidden and not sky:
                     weight_out[k] = ZERO
                     continue
+                if k + AHEAD < len(entry):
+                    prefetch(record, np.int64(entry[k + AHEAD] & RECORD_MASK))
                 o = np.int64(entry[k] & RECORD_MASK)
                 level = record[o, R_LEVEL]
                 a, b, c = record[o, R_CONIC], record[o, R_CONIC + 1], record[o, R_CONIC + 2]

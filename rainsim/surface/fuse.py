@@ -328,8 +328,10 @@ def planes(position, towards, size, plain):
         return normal, flat, smooth
     tree = cKDTree(position, compact_nodes=False, balanced_tree=False)
     nearest = np.empty((count, min(AROUND, k)), np.int32)
+    order = tree.indices  # those of a leaf after one another, which have the same neighbours
 
     def work(part):
+        part = order[part]
         away, near = tree.query(position[part], k=k)
         nearest[part] = near[:, :AROUND]
         around = position[near].astype(np.float64)

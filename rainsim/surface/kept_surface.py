@@ -14,6 +14,7 @@ from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 from rainsim.raster import Rasterizer, prepare
+from rainsim.splatting.prepared import morton_order
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
 from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
 from rainsim.surface.ground_picture import ground_picture
@@ -201,9 +202,10 @@ def _nearest(places, position, good=None):
     """
     away, place = np.full(len(position), np.inf), np.zeros(len(position), np.int64)
     if len(places):
-        good = np.ones(len(position), bool) if good is None else good
+        which = np.arange(len(position)) if good is None else np.flatnonzero(good)
+        which = which[morton_order(position[which])]  # neighbours read the same part of the tree
         tree = cKDTree(places, compact_nodes=False, balanced_tree=False)
-        away[good], place[good] = tree.query(position[good], workers=get_num_threads())
+        away[which], place[which] = tree.query(position[which], workers=get_num_threads())
     return away, place
 
 
@@ -232,6 +234,7 @@ def splat_normals(scene, found, sky):
     with np.errstate(all="ignore"):
         position = frame.to_ground(scene.splats.position).astype(np.float32)
     good = np.flatnonzero(np.isfinite(position).all(axis=1))
+    good = good[morton_order(position[good])]  # neighbours read the same part of the tree
     tree = cKDTree(surface.position, compact_nodes=False, balanced_tree=False)
 
     def work(part):

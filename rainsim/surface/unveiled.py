@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import SH_0
+from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.srgb import display
 from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.view import camera_points, image_point
@@ -56,12 +57,17 @@ def unveiled(scene, sky, seen, pictures):
         height, width = part.shape
         camera = camera.resized(width, height)
         weight = alone.weigh(camera, near, part, EVERY)[:, :3]
-        light += weight
-        land = weight[:, 0] + weight[:, 2]
-        lit = np.flatnonzero(land)
-        column, row = image_point(camera, *camera_points(camera, splats.position[lit]).T)
-        pixel = row.astype(int).clip(0, height - 1), column.astype(int).clip(0, width - 1)
-        color[lit] += land[lit, None] * view.light[pixel]
+
+        def add(some, view=view, camera=camera, weight=weight):
+            light[some] += weight[some]
+            land = weight[some, 0] + weight[some, 2]
+            lit = np.flatnonzero(land)
+            column, row = image_point(camera, *camera_points(camera, splats.position[some][lit]).T)
+            last_row, last_column = np.array(view.light.shape[:2]) - 1
+            pixel = row.astype(int).clip(0, last_row), column.astype(int).clip(0, last_column)
+            color[some][lit] += land[lit, None] * view.light[pixel]
+
+        in_blocks(add, len(rest))
     total, land = light.sum(axis=1), light[:, 0] + light[:, 2]
     hidden = np.where(total > LEAST, 1 - seen[rest] / np.maximum(total, LEAST), 0)
     bare = np.zeros(len(sky), bool)
