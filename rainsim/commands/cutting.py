@@ -13,10 +13,7 @@ STAGE = "cut"
 
 
 class CutChunks:
-    """The chunks of a cut that can be gone on with, on the record of its folder.
-
-    `resume` says whether whole chunks of an unfinished cut are kept.
-    """
+    """The chunks of a cut, on the record of its folder; with `resume` whole ones are kept."""
 
     def __init__(self, record, resume):
         self._record, self._resumes, self._lock = record, resume, threading.Lock()
@@ -70,10 +67,7 @@ def require_cuttable(path):
 
 
 def cut_to_scene(job, file, model):
-    """Cut a splat file into chunks in the folder of a `Job`, set its scene; return the record.
-
-    File and model are as `require_cuttable` returns them.
-    """
+    """Cut a splat file into chunks in the folder of a `Job`, set its scene; return the record."""
     from rainsim.commands.given import scene_of
     from rainsim.io.fingerprint import hash_of, hash_of_file
     from rainsim.lod.cut import cut

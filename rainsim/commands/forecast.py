@@ -17,10 +17,7 @@ MEASURED = 3  # finished frames at most whose files are looked at
 
 
 def format_of(given, start=0):
-    """Return the `VideoFormat` that the options ask for, None without --video.
-
-    `start` is the number of the first frame. RainsimError if the video could not be written.
-    """
+    """Return the `VideoFormat` that the options ask for, None without --video."""
     if not given["video"]:
         return None
     from rainsim.io.video import VideoFormat, require_video
@@ -56,10 +53,7 @@ def exr_of(given, fps, names, start=0):
 
 
 class Forecast:
-    """Shows the progress of a run as `Status` does, and says once what all of it will take.
-
-    `folder` is that of the frames.
-    """
+    """Shows the progress of a run as `Status` does, and says once what all of it will take."""
 
     def __init__(self, status, folder):
         self._status, self._folder = status, folder

@@ -399,10 +399,7 @@ def placed_camera(given, up, width=None, height=None):
 
 
 def named_camera(scene, name):
-    """Return the camera of a scene with a name, its first if `name` is None.
-
-    A scene without cameras has those that are offered.
-    """
+    """Return the camera of a scene, or the offered one, with a name; its first if that is None."""
     from rainsim.surface.offered_views import with_offered_cameras
 
     scene = with_offered_cameras(scene)

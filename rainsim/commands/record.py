@@ -153,11 +153,7 @@ def joined(old, new):
 
 
 def merged(old, found, use):
-    """Return the entries of a list after a use was recorded again, by name.
-
-    An entry that no use calls any more goes; the time of a kernel whose arguments have changed is
-    taken over until it is measured.
-    """
+    """Return the entries of a list after a use was recorded again, by name; unused ones go."""
     times = {entry.kernel: entry.seconds for entry in old.values()}
     result = {}
     for name, entry in old.items():

@@ -132,11 +132,7 @@ class Event:
 
 
 class Counted:
-    """Small device arrays that the host reads, as soon as what was queued before is done.
-
-    kind : dtype
-    count : int
-    """
+    """Small device arrays that the host reads, as soon as what was queued before is done."""
 
     def __init__(self, count, kind):
         self._seen = pinned(count, kind)
@@ -228,7 +224,6 @@ class SentRows:
     """Rows of the host on the device, in an array that grows where it must.
 
     shape : tuple of int. Of a row.
-    kind : dtype
     array : device array (room, *shape)
     """
 

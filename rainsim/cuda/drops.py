@@ -58,7 +58,6 @@ def seek(
     start, stop : float [s]
     slot : int. Which list of impacts will be filled from these drops; it is
         emptied.
-    field : DropField
     surfaces : HeightFields. Both of device arrays.
     found_out : int32 device array (slots,)
     sought_out : int32 device array (1,). Raised by the number of drops, also of
@@ -147,8 +146,6 @@ def fill_impacts(
 ):  # fmt: skip
     """List those of the drops sought that end in an interval.
 
-    columns, start, stop, slot, sought, tasks, words, field, surfaces. As `seek`
-        has and left them.
     found_out, values_out, labels_out, ids_out. See `ImpactLists`. The number
         found is beyond all room if there was none for a drop sought.
     """
@@ -266,7 +263,6 @@ class Listed(FrameUniforms):
     """The interval that is listed, as kernels take it; each `send` blanks "sought".
 
     field : RainField. Of the weather.
-    columns : Columns
     field : DropField. Of device arrays both.
     """
 
@@ -358,8 +354,6 @@ class Impacts:
 
         start, stop : float [s]. The interval that is listed.
         land : DeviceSources
-        ripples : Ripples
-        point, came_out : device arrays. See `settling.settle`.
         """
         blocks = -(-self.room // THREADS) if not SIMULATED else 2
         settling.settle[blocks, THREADS](

@@ -39,9 +39,7 @@ class DeviceState:
         `reflection.slope_moments`.
     tile_size : float [m]. Side of the periodic tile of ripples.
     ledger : dict. Volumes in m3, see `rainsim.ledger`.
-    drips, drip_id, top_water : ndarray. As `SimState` has them.
     notes : tuple of str
-    simulation : Simulation
     step : int. Of the simulation.
     """
 
@@ -77,7 +75,6 @@ class Simulation:
 
     config : Config. Water of scheme "auto" is computed by "lean" here.
     water : GpuWaterSolver
-    ripples : Ripples
     drip_list : DripList or None. Drips of the last state; None if nothing drips.
     """
 

@@ -63,13 +63,7 @@ def _depth_in(folder, plan, view):
 
 
 def observations(plan, view, depth):
-    """Return the points that a view sees: their places in the plan, and their image points [px].
-
-    depth : float32 array (height, width) [m]. A point counts as seen if it lies
-        at the depth of its pixel.
-    Returns number : int64 array (k,)
-        place : float64 array (k, 2) [px]
-    """
+    """Return numbers (k,) and places [px] of the plan's points at their pixel's depth."""
     camera = view.camera
     x, y, z = camera_points(camera, plan.points.astype(np.float64)).T
     ahead = z > NEAREST

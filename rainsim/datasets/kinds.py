@@ -14,12 +14,7 @@ from rainsim.terrain.table import DRAIN, GRASS, HARD, SOIL
 
 
 class Kind(NamedTuple):
-    """What others call an actor of a kind.
-
-    cityscapes : int
-    kitti : str
-    semantic, moving : int. Of SemanticKITTI.
-    """
+    """What Cityscapes, KITTI and SemanticKITTI (standing, moving) call an actor of a kind."""
 
     cityscapes: int
     kitti: str

@@ -105,10 +105,7 @@ def boxes_of(facts):
 
 
 def boxes_in_space(facts):
-    """Return the boxes of actors in the ground frame, as row vectors' transforms have them.
-
-    Extents are in the box's own frame, x ahead and z up [m]; `transform` takes them to the world.
-    """
+    """Return actors' boxes: extents in their frames [m], `transform` to the world (row vectors)."""
     rows, kinds = [], actor_kinds(facts)
     for actor in facts.get("actors", ()):
         if actor["pixels"]:

@@ -137,10 +137,7 @@ def _gpu(number, backend):
 
 
 def facts(token, text):
-    """Return what must be equal on all machines, the processor, and the host.
-
-    The file `token` holds `text` and lies in the output folder.
-    """
+    """Return what must be equal on all machines, the processor, and the host."""
     from rainsim.jit import processor
 
     seen = token.is_file() and token.read_text(encoding="utf-8") == text

@@ -20,10 +20,7 @@ BLOCK = 1 << 20  # bytes
 
 
 def fingerprint(content):
-    """Return the fingerprint of a run's inputs and versions, 64 hexadecimal digits.
-
-    `content` holds plain JSON values: hashes of files and arrays, settings.
-    """
+    """Return the fingerprint of a run's inputs (plain JSON) and versions, 64 hexadecimal digits."""
     return hash_of({"content": content, "rainsim": __version__, "versions": versions()})
 
 

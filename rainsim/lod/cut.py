@@ -44,8 +44,6 @@ WRITERS = 2  # threads
 def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False, keep=None):
     """Write a Streamed SOG of a capture.
 
-    folder : path-like. Made if it does not exist. Its lod-meta.json appears when
-        all else is written.
     blocks : callable. blocks() returns an iterator over the capture's `Splats`,
         in parts of any size; it is called twice and must give the same splats.
     leaf : int. Splats of a leaf, about.

@@ -17,10 +17,7 @@ def smoothstep(low, high, x):
 
 @inlined_function
 def map_place(x, y, origin, spacing):
-    """Return column u and row v of a map at (x, y) [m]; cell centres are whole numbers.
-
-    `origin` (2,) [m] is the corner of the first cell.
-    """
+    """Return column and row of a map at (x, y) [m]; cell centres are whole numbers."""
     return (x - origin[0]) / spacing - HALF, (y - origin[1]) / spacing - HALF
 
 

@@ -28,12 +28,10 @@ def held(x, most):
 def interpolate(field, n, s, u, v, place, corner):
     """Replace n columns of places in a field by the field's value there, interpolated bilinearly.
 
-    field : float32 array (rows, columns)
     n : int. At most CHUNK.
     s : float32 array. Columns of the places from index `u` on, which the values
         replace, and their rows from index `v` on, which are overwritten with
         weights.
-    u, v : int
     place : uint32 array (CHUNK,)
     corner : float32 array (CORNERS,). Working memory, as `place`.
     """

@@ -94,10 +94,7 @@ def _require_replaceable(path, sources):
 
 
 def relative(path):
-    """Return a path as messages show it, str.
-
-    It is relative to the current folder if it lies below that folder, else as given.
-    """
+    """Return a path as messages show it: relative if below the current folder, else as given."""
     path = Path(path)
     try:
         short = os.path.relpath(path)

@@ -34,7 +34,6 @@ _MOST_AT_ONCE = 64  # drops from one point in one step; more is a jet
 class Drips:
     """The water on the objects of a map and the drops that leave them.
 
-    seed : int
     wet : bool. Whether it has rained before: films are full and each edge holds
         part of a drop.
     held : float. Water on the objects [m3]: films, puddles, hanging drops, and
@@ -88,10 +87,7 @@ class Drips:
         return float(drop_volume(self._flight["diameter"]).sum())
 
     def hold(self, room, held):
-        """Let the objects hold `room` [m3] more behind each point, of which `held` is there.
-
-        Both are arrays of shape (points,). Water fills that room before it leaves the edges.
-        """
+        """Let the objects hold `room` [m3] more behind each point, of which `held` is there."""
         self._room += room - held
         self._film += float(held.sum())
 
@@ -104,10 +100,7 @@ class Drips:
         return self._room
 
     def take_rain(self, hits, fine_depth=0.0):
-        """Give the objects the drops that fell on them and a depth [m] of finer rain.
-
-        Returns float. The water that came [m3].
-        """
+        """Give the objects drops that fell on them and a depth [m] of fine rain; return the m3."""
         hit = hits.kind == OBSTACLE
         goes, volume = self.point[hits.row[hit], hits.column[hit]], hits.volume[hit]
         came = np.bincount(goes[goes >= 0], volume[goes >= 0], minlength=len(self._store))
@@ -118,10 +111,7 @@ class Drips:
         return self.take_water(0.0, 0.0, depth)
 
     def take_water(self, came, lost, depth):
-        """Give the objects water [m3] that goes to each point and to none, and even rain [m].
-
-        Returns float. The water that came [m3].
-        """
+        """Give the objects water [m3] for each point and none, and even rain [m]; return the m3."""
         each = depth * self._surfaces.spacing**2
         came = self._cells * each + came
         lost += each * self._stuck
@@ -132,8 +122,6 @@ class Drips:
     def advance(self, start, stop, wind=(0.0, 0.0), roughness=0.0):
         """Let drops part, fall and land from `start` to `stop` [s].
 
-        start, stop : float [s]
-        wind : (float, float) [m/s]. At `wind.WIND_HEIGHT`.
         roughness : float [m]. Of the land, see `wind.wind_shares`.
         Returns row, column : int64 array (m,)
             volume : float64 array (m,) [m3]. What came to the ground.

@@ -58,11 +58,7 @@ class Rolls(NamedTuple):
 
 
 def cars_of(footprints, render):
-    """Return the motions of the actors that have tyres; none if a RenderConfig leaves spray out.
-
-    Raises ParameterError if a car's box is none of a road vehicle, or its track
-        faster than FASTEST.
-    """
+    """Return the motions of actors with tyres; none if spray is off; ParameterError if unfit."""
     if render.spray == "off":
         return []
     cars = [footprint.motion for footprint in footprints if len(footprint.motion.wheels)]

@@ -47,7 +47,6 @@ def ground_frame_of(splats, cameras, up=None, meters_per_unit=None, camera_heigh
 def assumed_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
     """Return a `GroundFrame` for a capture of which too little is known to estimate one.
 
-    cameras : sequence of Camera. In the capture frame.
     up : array_like of shape (3,), optional. Roughly up; otherwise the flattest
         wide surface with most of the capture above it counts as level. Without
         such a surface it is the mean image-up of the cameras, or -y.
@@ -167,8 +166,6 @@ def levelled_frame(frame, up, point):
     """Return a ground frame with another up, whose ground goes through a point; none is searched.
 
     frame : GroundFrame. Its scale stays, and its x axis as far as it is level.
-    up, point : array_like of shape (3,). In the capture frame; `point` in capture
-        units.
     """
     up, point = np.array(up, np.float64) / np.linalg.norm(up), np.array(point, np.float64)
     axes = [axis - (axis @ up) * up for axis in (frame.rotation[0], frame.rotation[2])]

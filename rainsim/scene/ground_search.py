@@ -55,7 +55,6 @@ def ground_below(splats, cameras, up, seed):
 
     cameras : list of Camera. In the capture frame, at least one.
     up : array (3,) or None. Roughly up, unit.
-    seed : int
     Returns plane : Plane
         centre : array (3,) [capture units]
         placed : bool array (n,). Which cameras are not misplaced.
@@ -149,10 +148,7 @@ def looks_down(cameras, up):
 
 
 def mean_image_up(cameras):
-    """Return the cameras' mean image-up, a unit vector; None if they do not agree, or without any.
-
-    They do not agree if pictures were taken with the camera on its side, all around.
-    """
+    """Return the cameras' mean image-up, a unit vector; None without any that they share."""
     if not len(cameras):
         return None
     mean = np.mean([camera.image_up for camera in cameras], axis=0)

@@ -54,10 +54,7 @@ def moved(cameras, shift):
 
 
 def near_origin(cameras, origin):
-    """Return cameras as the splats lie from which `origin` was taken off.
-
-    Cameras in the large coordinates are moved; those that the program wrote are near already.
-    """
+    """Return cameras as the splats lie from which `origin` was taken off."""
     shift = np.array(origin)
     if not len(cameras) or not shift.any():
         return list(cameras)

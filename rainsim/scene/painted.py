@@ -29,12 +29,10 @@ ARRAYS = {
 class PaintedClasses:
     """Classes of the ground as a user has them.
 
-    name : tuple of str. Of the classes.
     cells : int16 array (ny, nx). Index of each cell's class in `name`, -1 where
         it is left to the program; row 0 in the south.
     origin : tuple of float [m]. x, y of the outer corner of cell (0, 0) in the
         ground frame.
-    spacing : float [m]
     """
 
     name: tuple

@@ -34,8 +34,6 @@ class Shot:
     cameras : tuple of Camera. One per frame, in metres with z up; a single one if
         nothing changes.
     fps : float [1/s] or None. None if the file does not say.
-    first : float. Number of the first frame.
-    notes : tuple of str
     """
 
     cameras: tuple

@@ -48,10 +48,7 @@ def seen_shares(splats, cameras):
 
 
 def require_sight(path, splats, cameras):
-    """Return a list with a note if many cameras see next to none of the splats.
-
-    Raises InputError if all of them do.
-    """
+    """Note that many cameras see next to none of the splats; InputError if all of them do."""
     chosen = _some_of(cameras)
     if not chosen:
         return []

@@ -31,10 +31,7 @@ def require_usd(purpose):
 
 
 def read_usd(path, name=None):
-    """Return the cameras of the frames of a stage, in its own axes and units, and its `World`.
-
-    `name` is that of a camera's prim or its whole path.
-    """
+    """Return the cameras of a stage's frames, in its axes and units, and its `World`."""
     require_file(path, "a USD file")
     require_usd(f"{path} is USD; reading it")
     return apart(_read, path, name)

@@ -129,10 +129,7 @@ def corner_rays(camera):
 
 @kept_for_lens
 def edge_planes(camera):
-    """Return inward unit normals of a picture's left, right, top and bottom, camera frame.
-
-    Returns float64 array (4, 3)
-    """
+    """Return inward unit normals (4, 3) of a picture's left, right, top and bottom edges."""
     planes = np.array(
         [
             [camera.fx, 0, camera.cx],

@@ -16,10 +16,7 @@ SAME = "all must be of one lens; give its coefficients, such as opencv:k1,k2,p1,
 
 
 def lens_named(text):
-    """Return the `Lens` of a text, or of a transforms.json or COLMAP model that it names.
-
-    None if the file's cameras are pinholes.
-    """
+    """Return the `Lens` of a text, or of a transforms.json or COLMAP model; None for pinholes."""
     if ":" in text and not Path(text).exists():
         return lens_of(text)
     path = Path(text)

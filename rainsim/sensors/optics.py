@@ -142,10 +142,6 @@ class Taking:
     """The frames of a sequence as its optics take them.
 
     cameras : sequence of Camera. As `FrameSequence` takes them.
-    names : sequence of str. Layers that reports hold.
-    backend : {"cpu", "cuda"}
-    exr : ExrFormat or None
-    drawn : list of Camera. The pinhole cameras that are drawn, one for each.
     """
 
     def __init__(self, optics, cameras, scene, config, names, backend="cpu", exr=None):

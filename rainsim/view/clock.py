@@ -13,10 +13,6 @@ class PlayClock:
 
     frames : int. Number of states; after the last one follows the first, or the
         clock stops.
-    fps : float [1/s]. States in a second of rain.
-    index : int
-    speed : float. Of the rain over true speed, above 0.
-    plays, loops : bool
     """
 
     frames: int

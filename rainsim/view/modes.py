@@ -44,13 +44,9 @@ def mode_picture(
 ):  # fmt: skip
     """Return the picture of a mode, and the depth of its pixels.
 
-    name : str. Of `MODES`.
     amount : float [mm]. Of rain, for PUDDLES.
-    shot : tuple. Viewpoint, width [px], height [px] and index of the state.
-    check : callable. See `Session.draw`.
     with_depth : bool. Without it None stands for the depth where it is not at
         hand.
-    simple : bool. See `Session.draw`.
     Returns picture : uint8 array (height, width, 3)
         depth : float32 array (height, width) [m]. Along the view axis, infinite
             for sky.
@@ -72,11 +68,7 @@ def _depth_at_hand(session):
 
 
 def layer_picture(name, values):
-    """Return a layer of the frame as a picture, (height, width, 3) uint8.
-
-    name : str. Of `aov.AOVS`.
-    values : array (height, width) or (height, width, 3)
-    """
+    """Return a layer of the frame, by its name in `aov.AOVS`, as uint8 (height, width, 3)."""
     kind = AOVS[name].kind
     if kind == PICTURE:
         return np.ascontiguousarray(values)
@@ -145,14 +137,7 @@ def puddle_colors(depth):
 
 
 def over_ground(session, shot, picture, depth, colors, opacity):
-    """Return a picture with a map laid over the pixels that show the ground.
-
-    shot : tuple. As for `mode_picture`.
-    picture : uint8 array (height, width, 3)
-    depth : array (height, width) [m]
-    colors : array (ny, nx, 3). 0 to 255.
-    opacity : array (ny, nx)
-    """
+    """Return a picture with a map (colours to 255) laid over the pixels that show the ground."""
     camera = session.camera_of(*shot[:3])
     points, distance = seen_points(session.scene.ground_frame.camera_in_ground(camera), depth)
     terrain = session.terrain

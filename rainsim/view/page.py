@@ -38,9 +38,6 @@ REMEDY = 'the page needs viser; pip install "rainsim[view]"'
 class Client:
     """The state of one page: its controls, its view and the size of its picture.
 
-    handle : viser.ClientHandle
-    rain, state : handles of its own controls
-    view : Viewpoint
     size : tuple of int. Width and height of the picture that was shown last [px].
     said : tuple of (str, float). The first word of its state and when it was last
         shown [s].
@@ -61,10 +58,6 @@ class Page:
     """Serves a `Painter`'s pictures.
 
     port : int. If it is in use the next free one is taken.
-    first : Viewpoint. Where a new page's camera is.
-    greeting : str. Shown on each new page until it is closed there; "" for none.
-    server : viser.ViserServer
-    clients : dict of int to Client
     """
 
     def __init__(self, painter, home, port, first, greeting=""):

@@ -14,11 +14,7 @@ LOOK_EVERY = 0.5  # s between looks at how far a film is
 
 
 class HomeTools:
-    """Screenshots, camera paths and films, the same on all pages.
-
-    keyframes : KeyframeTools
-    saved : Saved or None. What was saved last.
-    """
+    """Screenshots, camera paths and films, the same on all pages."""
 
     def __init__(self, page, home):
         self.page, self.painter, self.home = page, page.painter, home

@@ -72,10 +72,7 @@ def table_of(keyframes):
 
 
 class KeyframeTools:
-    """The keyframes of all pages, one of which is chosen to be edited.
-
-    keyframes : list of Keyframe
-    """
+    """The keyframes of all pages, one of which is chosen to be edited."""
 
     def __init__(self, page, gui, aspect):
         self.page, self.painter, self._aspect = page, page.painter, aspect

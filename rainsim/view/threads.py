@@ -15,11 +15,7 @@ TRY_EVERY = 24  # pictures, after which the slower choice is tried again
 
 
 class ThreadChoice:
-    """Chooses the number of threads for the next picture in motion.
-
-    most : int. Number of threads that there are; with a single one there is no
-        choice.
-    """
+    """Chooses how many of `most` threads draw the next picture in motion."""
 
     def __init__(self, most):
         self._times = {count: deque(maxlen=KEPT) for count in {most, max(most - 1, 1)}}

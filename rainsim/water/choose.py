@@ -19,11 +19,7 @@ FILM = 1.0  # step of the bed over the depth: above, the water is a film that fo
 
 
 def choose(asked, h, bed):
-    """Return scheme, Courant number and why.
-
-    asked : {"auto", "accurate", "lean", "paper"}
-    h, bed : array (ny, nx) [m]. Flowing depth and the height on which it flows.
-    """
+    """Return scheme, Courant number and why, for depths h [m] on a bed [m]."""
     if asked != "auto":
         return asked, COURANTS[asked], "asked for by name"
     wet = h > 0

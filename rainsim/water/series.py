@@ -87,10 +87,7 @@ def series(value):
 
 
 def rain_pieces(rain, start, end):
-    """Return the rain from `start` to `end` [s] as a list of (end [s], rate [m/s] or map).
-
-    A `Series` is cut where its values change, an interpolated one also into pieces of `PIECE`.
-    """
+    """Return the rain from `start` to `end` [s] as a list of (end [s], rate [m/s] or map)."""
     if not isinstance(rain, Series):
         return [(end, rain)]
     if (rain.values < 0).any():

@@ -55,10 +55,6 @@ class Falling(NamedTuple):
 def falling_at(state, field, surfaces, camera, render, film):
     """Return what falls before a camera at the time of a state, a `Falling`.
 
-    state : SimState
-    field : RainField or None. None without rain.
-    camera : Camera. In the ground frame.
-    render : RenderConfig. Of that time.
     film : float [m]. Water on what is not the ground, see
         `splash_pass.draw_splashes`.
     """

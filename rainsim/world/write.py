@@ -30,17 +30,7 @@ BLOCK = 16  # frames that are held in memory; some 100 MB in a downpour at 1920 
 
 
 def write_parts(folder, scene, terrain, cameras, config, parts, first, tell):
-    """Write the parts of a scene in the rain into a folder.
-
-    folder : Path
-    cameras : sequence of Camera. One per frame or one for all, in the capture
-        frame.
-    parts : sequence of str. Among camera, ground, water, rain and capture.
-    first : float. Number of the first frame.
-    tell : callable. tell(stage, done, total) as frames go on.
-    Returns names : list of str. Of the files.
-        notes : list of str. What the files do not have.
-    """
+    """Write parts of a scene in the rain; return the files' names and notes on what they lack."""
     moves = not {"camera", "water", "rain"}.isdisjoint(parts)
     clock = Clock(first, config.frames if moves else 0, config.fps)
     cameras = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]

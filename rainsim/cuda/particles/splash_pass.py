@@ -73,7 +73,6 @@ def list_splashes(
 ):  # fmt: skip
     """List the droplets, crowns and jets of listed impacts that splash in view.
 
-    lists : ImpactLists
     per_list : int. Blocks of threads for each list.
     velocity : float64 device array (CLASSES, 3) [m/s]
     sent : ShutterView
@@ -137,8 +136,6 @@ def list_splashes(
 def draw_list(count, lines, sent, scene, picture):
     """Draw listed lines, a group of lanes for each.
 
-    count, lines. As `list_splashes` left them.
-    sent : ShutterView
     scene : SceneDepth
     picture : int64 device array (width * height,). Added to.
     """

@@ -74,7 +74,6 @@ def list_drops(counts, air, sent, field, scene, sought_out, places_out, words_ou
 
     counts : int64 device array (CLASSES + 1,). As in `drops.Columns`, but of
         cubes.
-    air : SeenAir
     sent : ShutterView
     field : DropField. Of device arrays.
     scene : SceneDepth
@@ -162,9 +161,6 @@ def _path_of(word, cube, corners, air, field, view, scene):
 def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, large_out):
     """Find how much of their path the drops in view go before they meet something.
 
-    sought, places, words. As `list_drops` left them.
-    sent : ShutterView
-    field : DropField
     surfaces : HeightFields. Both of device arrays.
     paths_out : float32 device array (room, PATH). SHARE, 0 for drops that have
         ended and less for large ones, and DIAMETER.
@@ -253,7 +249,6 @@ class Streaks:
     alpha : float32 device array (height, width). Share of light that drops
         replace.
     room : int. Drops in view that the lists have room for.
-    view : ShutterView
     scene : SceneDepth. Both of device arrays, as the drawing kernels read them.
     drips : cuda.rain.drip_list.DripList or None. Drips that are drawn too.
     spray : cuda.particles.spray.Spray or None. What tyres throw, drawn too.

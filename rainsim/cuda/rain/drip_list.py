@@ -72,8 +72,6 @@ def list_drip_splashes(drips, surfaces, sent, scene, water, count_out, lines_out
     """List the droplets, crowns and jets of drips that have landed, a group of lanes for each.
 
     surfaces : HeightFields. Of device arrays.
-    sent, scene, water, count_out, lines_out. As `splash_pass.list_splashes` has
-        them.
     """
     time, exposure, focal = sent.time[0], sent.exposure[0], focal_of(sent.lens)
     table = drips.table

@@ -72,12 +72,10 @@ class RippleTile(NamedTuple):
 def settle(lists, start, stop, slot, fall, layout, tile, point, waiting_out, came_out, pushes_out):
     """Give the water of listed drops to the cells that they fell on, and some to the ripples.
 
-    lists : ImpactLists
     start, stop : float [s]
     slot : int. Which of the lists.
     fall : float64 device array (CLASSES,) [m/s]. Fall speeds.
     layout : CellLayout. Of `waiting_out`.
-    tile : RippleTile
     point : int32 device array (ny, nx). The point of `came_out` that a cell's
         water goes to; negative: the last.
     waiting_out : device array, int64. Depth that waits in each cell, in
@@ -111,10 +109,8 @@ def settle(lists, start, stop, slot, fall, layout, tile, point, waiting_out, cam
 def ring_each(count, drops, tile, pushes_out):
     """Let drops ring on the tile.
 
-    count : int
     drops : float64 device array (room, 4). Place (x, y) [m], momentum [kg m/s], and
         the time since it came down over the interval's length.
-    tile : RippleTile
     pushes_out : int64 device array. As in `settle`.
     """
     for n in range(cuda.grid(1), count, cuda.gridsize(1)):

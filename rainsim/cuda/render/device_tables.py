@@ -23,7 +23,6 @@ from rainsim.shading.wetting import SkyMaps
 class DeviceTables:
     """Maps and numbers on a device; `tables["rings"]` is a device array.
 
-    conductor : Conductor
     place : tuple. Corner (2,) and spacing [m] of the map.
     camera : DeviceView. Of the frame.
     march : MarchSettings. Of the frame.
@@ -142,11 +141,9 @@ class DeviceTables:
               mirrored=False):  # fmt: skip
         """Queue the grading and wetting of the layers of a picture.
 
-        layers : DeviceLayers
         camera : DeviceView
         picture_out, depth_out, clearance_out, cover_out : device array. See
             `grade_and_wet`; without the last the film's mirror is not apart.
-        mirrored : bool
         """
         scene, shape = self.conductor.wet_scene, layers.alpha.shape
         layer = scene.ground.thickest_layer

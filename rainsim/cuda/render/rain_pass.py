@@ -26,10 +26,7 @@ NO_RAIN = RainField(RainSpectrum(0.0))
 
 
 class RainPass:
-    """Draws streaks, splashes, drips and spray before a picture.
-
-    conductor : Conductor
-    """
+    """Draws streaks, splashes, drips and spray before a picture."""
 
     def __init__(self, conductor):
         self._conductor, ground = conductor, conductor.ground

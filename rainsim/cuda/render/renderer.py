@@ -46,7 +46,6 @@ class Renderer:
 
     conductor : Conductor. Scene, light, weather and ground; its capture's
         rasterizer draws on the device, its `frame` holds device arrays.
-    passes : Passes
     takes_any_height : bool. No: memory is allocated again.
     """
 

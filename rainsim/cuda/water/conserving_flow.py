@@ -24,7 +24,6 @@ class DeviceLeanFlow(LeanFlow):
     """The flow of "lean" whose fields lie on a CUDA device.
 
     flow : LeanFlow. Of float32; `restore` takes over its state.
-    layout : flow.Layout
     cells : CellLayout
     parity : int. Which copy of the fields is the present one.
     fields, remainder : float32 device array. See `flow.step`.

@@ -54,7 +54,6 @@ def transform_pushes(pushes, cosines, sines, n, re_out, im_out):
 
     pushes : int64 device array (2 * maps * n * n,). Momentum in PUSH_UNIT.
     cosines, sines : float32 device array (n,). Of full turns over n.
-    n : int
     re_out, im_out : float32 device array (maps * n * n,). Transposed.
     """
     re = cuda.shared.array((2, MOST), np.float32)
@@ -78,8 +77,6 @@ def transform(re_in, im_in, cosines, sines, n, sign, re_out, im_out):
     """Transform the rows of complex maps; a block for each row.
 
     re_in, im_in : float32 device array (maps * n * n,)
-    cosines, sines : float32 device array (n,). Of full turns over n.
-    n : int
     sign : float32. -1 for forward, 1 for backward; not scaled.
     re_out, im_out : as `re_in`. Transposed.
     """
@@ -184,7 +181,6 @@ class Ripples:
 
     tile : RippleTile. Its state is copied and it is left alone.
     duration : float [s]. From one frame to the next.
-    share : float. See `let_ring`.
     tile : settling.RippleTile. Its `steps` are the parts of the interval in which
         impacts are put together.
     pushes : device array, int64. Momentum of drops that fell since, in

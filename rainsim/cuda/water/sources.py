@@ -55,7 +55,6 @@ def apply_sources(
 ):  # fmt: skip
     """Add rain, take losses and fill the films, then sum up; see `water.sources.apply_sources`.
 
-    soil : Soil
     parity : int. Of the present copy of `w_out`.
     rate : float32 [m/s]. Of the rain.
     dt : float [s]. If 0 the drops that wait are added; if negative nothing is
@@ -126,7 +125,6 @@ def add_drops(count, places, depths, waiting_out):
 class DeviceSources:
     """The sources of a `DeviceLeanFlow`: what `Sources` has, on the device.
 
-    flow : DeviceLeanFlow
     given : Sources. Of a solver of the same map; `restore` takes over its state.
     exposure : float32 array (ny, nx), optional. Share of the rain that falls on
         each cell; that of `given` by default.

@@ -311,11 +311,7 @@ def _dwelling(wall, width, parts, wall_part, rng):
 
 
 def houses(noise, rng, reach, depth):
-    """Return all fronts and the glows on the ground: rows of x, y, reach [m], strength.
-
-    `reach` is the first and the last x of the street [m], `depth` [m] goes from its middle to the
-    fronts.
-    """
+    """Return all fronts and the glows on the ground: rows of x, y, reach [m], strength."""
     parts, glows = [], []
     for side in (-1, 1):
         x = reach[0]

@@ -28,10 +28,7 @@ ARC = 7  # blocks of a kerb at a corner
 
 
 def footway_cloud(noise, rng, layout=LAYOUT):
-    """Return the `Cloud` of the kerbs and flagged footways on both sides of the street.
-
-    `noise` (a `Noise`) mottles the flags and raises and lowers the ground; `rng` is numpy's.
-    """
+    """Return the `Cloud` of the kerbs and flagged footways on both sides of the street."""
     parts = []
     for side in (-1, 1):
         parts.append(_kerb(side, rng, layout))

@@ -23,11 +23,7 @@ PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
 
 def read_compressed(path, header, max_broken):
-    """Return the Splats of a compressed PLY, notes and how many splats were dropped.
-
-    header : Header. As `rainsim.scene.plyheader.read_header` returns it.
-    max_broken : float. Largest share of broken splats that is tolerated.
-    """
+    """Return the Splats of a compressed PLY, notes and how many splats were dropped."""
     tables = _read_tables(path, header)
     chunks, packed = _chunk_table(path, tables), _packed_table(path, tables)
     harmonics = _harmonics_table(path, tables, len(packed))

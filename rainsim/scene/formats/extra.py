@@ -16,10 +16,7 @@ INSTALL = 'pip install "rainsim[formats]"'
 
 
 def load_extra(path, kind, *modules):
-    """Return gsply after importing it and the `modules` that it needs to read `path`.
-
-    Raises InputError if one is not installed; names the command that installs it.
-    """
+    """Return gsply after importing the `modules` that read `path`; InputError if one is missing."""
     import rainsim.jit  # noqa: F401  (its compiled kernels belong into our cache folder)
 
     for module in (*modules, "gsply"):

@@ -58,12 +58,7 @@ def read_folder(path, max_broken):
 
 
 def read_rows(path):
-    """Return all splats of an unbundled SOG in the order they are stored in, and which are usable.
-
-    path : Path. Its meta.json.
-    Returns splats : Splats
-        good : bool array (n,)
-    """
+    """Return all splats of an unbundled SOG in their order, and which are usable (n,)."""
 
     def load(name):
         file = path if name == META else path.parent / name

@@ -75,11 +75,7 @@ class ChunkTree:
 
 
 def read_tree(path):
-    """Return the `ChunkTree` of a lod-meta.json, all of it checked.
-
-    Raises InputError if it is no such file, is damaged, or names files outside
-        its folder.
-    """
+    """Return the `ChunkTree` of a lod-meta.json, all of it checked; its files are in its folder."""
     path = require_file(Path(path), "the index of a Streamed SOG")
     if path.stat().st_size > MOST_BYTES:
         raise InputError(f"{path} is too large for the index of a Streamed SOG; check the path")
