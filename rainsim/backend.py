@@ -1,7 +1,5 @@
 """The renderer and the simulation of each backend: the only module that imports both backends."""
 
-from __future__ import annotations
-
 from rainsim.errors import require_choice
 from rainsim.render.renderer import Renderer
 from rainsim.simulation import simulate

@@ -11,8 +11,6 @@ the drops of the heaviest rain and leaves some out by their ids; whether a drop 
 the rate at the time when it passes z = 0, so that no drop ever appears or vanishes in the air.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

@@ -3,8 +3,6 @@
 Each stage can be run alone: `extract_terrain`, `simulate`, `render`; `render_rain` chains them.
 """
 
-from __future__ import annotations
-
 import bisect
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor

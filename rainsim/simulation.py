@@ -4,8 +4,6 @@
 the capture, the terrain and the seed: the drops in the air follow from the seed alone.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

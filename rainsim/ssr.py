@@ -13,8 +13,6 @@ visits the same pixels.
 the jumps over blocks of pixels, the bisection, and how the blocks' depths are found.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ An actor's splats and box stand in the actor's own frame, whose unit of length i
 track says where that frame is in the capture frame at a time, and whether the actor is there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ of all actors one after the other, the keys of all tracks one after the other, a
 belong to each actor.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -4,8 +4,6 @@ An actor's highest and lowest surfaces are found once from its own splats, over 
 its own; at a time they are looked up for the cells of the map that the actor is over.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

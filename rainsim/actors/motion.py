@@ -4,8 +4,6 @@ All that follows a moving thing asks here: pictures, labels, sensors, the rain t
 off and the water that its tyres throw.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """`rainsim import --lod`: a large capture cut into chunks, and the scene that it then is."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 from pathlib import Path, PurePosixPath

@@ -1,7 +1,5 @@
 """The commands that make frames: `run`, and its second and third stage, `simulate` and `render`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

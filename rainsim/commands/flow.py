@@ -1,7 +1,5 @@
 """The command `rainsim flow`: the water solver alone on a map of heights."""
 
-from __future__ import annotations
-
 import math
 import signal
 import threading

@@ -1,7 +1,5 @@
 """What a long run will take, said when its first frames are drawn: time, and space on the disk."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from contextlib import suppress

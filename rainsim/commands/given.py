@@ -1,7 +1,5 @@
 """Settings, scene and cameras from the options of a command."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

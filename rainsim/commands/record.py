@@ -7,8 +7,6 @@ process of its own: `... record --one USE` prints what it calls as lines of JSON
 which begin with cuda, have a list of their own and are run if they are named, or with `--cuda`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

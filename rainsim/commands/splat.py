@@ -1,7 +1,5 @@
 """`rainsim splat`: the dry capture from any camera, as a picture or as arrays."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

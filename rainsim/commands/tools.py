@@ -1,7 +1,5 @@
 """The commands around the frames: import, scenes, presets, warmup."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

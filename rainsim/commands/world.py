@@ -1,7 +1,5 @@
 """`rainsim world`: camera, ground, water, rain and capture as USD, for other renderers."""
 
-from __future__ import annotations
-
 import click
 
 from rainsim.commands import options

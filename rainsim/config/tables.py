@@ -3,8 +3,6 @@
 Importing this file takes no numpy: the command line's help is made from it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 from rainsim.config.declare import UNITS, Key, Setting

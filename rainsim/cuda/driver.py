@@ -4,8 +4,6 @@ All work is queued on the default stream, in the order of the calls; only a fini
 copied to the host beside it, see `Download`.
 """
 
-from __future__ import annotations
-
 import contextlib
 from functools import partial
 

@@ -7,8 +7,6 @@ that meet something in it. The list's order is that of chance; sums over the lis
 numbers, so that its order does not matter.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Small arrays that change from frame to frame, sent to the device in one copy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.driver import Staging, aligned

@@ -5,8 +5,6 @@ numba looks up the types of all arguments and packs them again at each launch: 6
 arguments finds the machine code.
 """
 
-from __future__ import annotations
-
 import struct
 from array import array
 from functools import partial

@@ -1,7 +1,5 @@
 """Maps on a device of which the windows are sent that moving things change."""
 
-from __future__ import annotations
-
 
 class MovingMap:
     """A map on a device that follows one of the host, over which things move.

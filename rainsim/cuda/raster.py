@@ -6,8 +6,6 @@ tile and depth in one radix sort (`project`), blended by warps (`blend`). The ho
 entries there are, makes room where they lacked it, and lists them again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -4,8 +4,6 @@ A step lists the drops that end in its interval, gives their water to the ground
 and sums up what falls on each object. What drips from objects the host decides, as on the CPU.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

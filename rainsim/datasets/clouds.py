@@ -4,8 +4,6 @@ All pulses are sent at the time of the picture: KITTI's clouds are corrected for
 turn, and so boxes, picture and points belong together.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

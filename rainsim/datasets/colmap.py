@@ -7,8 +7,6 @@ points which images see, by the depth of their pixels. Rigs have rigs.bin and fr
 reads them from 3.12 on (reconstruction_io_binary.cc, commit 036535c).
 """
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

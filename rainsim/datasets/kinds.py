@@ -4,8 +4,6 @@ Cityscapes: ids of cityscapesScripts' labels.py. KITTI: types of its object benc
 SemanticKITTI: labels of semantic-kitti.yaml of its API, standing and moving.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

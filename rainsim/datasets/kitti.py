@@ -7,8 +7,6 @@ P3; poses are those of the odometry benchmark: world_from_camera relative to the
 line. The folders of the rains are named as rain-rendering's (Halder et al. 2019).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """Points of a scene with colours, which trainers of splats start from, and their files."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import SH_0

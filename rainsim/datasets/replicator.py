@@ -8,8 +8,6 @@ bounding_box_3d_0000.npy of what moves;
 camera_params_0000.json with matrices for row vectors, flattened, camera axes as OpenGL's.
 """
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Draws the samples of a rig: each sensor at its own times, in one rain over the same water."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from fractions import Fraction
 

@@ -7,8 +7,6 @@ that no mask shows have the id of the nearest splat that has one. An actor that 
 Of a capture in chunks the splats of the finest level have labels, numbered as `FinestNumbers` says.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

@@ -4,8 +4,6 @@ Everything here is in metres with z up. A `Cloud` is a set of splats in the maki
 clouds together and `to_splats` takes the finished one to a capture frame.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, replace
 

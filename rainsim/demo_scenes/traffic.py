@@ -5,8 +5,6 @@ a street of a given length cars also cross at the side streets, and wait there.
 Each actor has its splats in a frame of its own: x ahead, z up, the tyres on z = 0.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ The frames that are missing are cut into as many ranges as there are workers. Ea
 task, and runs what a process with --frame-range runs.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import os

@@ -10,8 +10,6 @@ RAINSIM_CACHE names the folder, or is "off". The default is rainsim/results in t
 folder (XDG_CACHE_HOME, or .cache in the home folder).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """OpenEXR files of several parts. OpenEXR's own library writes them, from the extra `exr`."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

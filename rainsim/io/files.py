@@ -1,7 +1,5 @@
 """Small helpers of the readers and writers: clear errors on reading, whole files on writing."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

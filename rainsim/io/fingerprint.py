@@ -4,8 +4,6 @@ A fingerprint is a hash of what the bytes depend on: the content of scene and se
 versions of rainsim and its libraries. Names of paths, hosts and systems have no part.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -4,8 +4,6 @@ The only module that imports imageio and Pillow. Every file is written whole und
 and then renamed, so that what stood there before survives a failure.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

@@ -1,7 +1,5 @@
 """States of the water as files: those of a frame (`SimState`), and those of a `WaterSolver`."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ H.265, the constant rate factor 51 - quality / 2 (0 is nearly lossless, 51 the w
 quantiser from 1 to 64 in its place, which a step of 100 / 6 halves.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import tempfile

@@ -5,8 +5,6 @@ blocks, sorted by leaf in a file beside the result, and written leaf by leaf. A 
 levels are merged from its own splats.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import tempfile

@@ -4,8 +4,6 @@ The choice depends on the camera, the index and two settings alone, never on wha
 a frame by itself is the same as in a sequence.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.scene.formats.streamed import NONE

@@ -5,8 +5,6 @@ always drawn after them. A splat of a coarser level stands for several. It has t
 nearest splat of the finest level in its leaf.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

@@ -5,8 +5,6 @@ its pages in the order of the index, whatever was read first and wherever they l
 the same bytes every time.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 

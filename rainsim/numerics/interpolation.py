@@ -1,7 +1,5 @@
 """Values between the cells of a field and the pixels of a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, THREE, TWO, ZERO

@@ -4,8 +4,6 @@ Such a kernel has a float32 array of some rows of CHUNK numbers and computes one
 after the other; only look-ups in tables are done pixel by pixel.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ONE, ZERO

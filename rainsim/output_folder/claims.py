@@ -1,7 +1,5 @@
 """One run at a time in an output folder, and nothing in it lost that no run would make again."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from contextlib import contextmanager, suppress

@@ -1,7 +1,5 @@
 """What a record says of scene, settings and machine, and what of them results depend on."""
 
-from __future__ import annotations
-
 import os
 import platform
 

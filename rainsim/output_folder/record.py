@@ -1,7 +1,5 @@
 """The record of a run: what it was, which files it wrote, and whether another may go on with it."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 import time

@@ -4,8 +4,6 @@ A crown is a rim on a thin sheet, some milliseconds old; over deep water a jet f
 exposure sees of it is given as short lines, each with the area of water that it stands for.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ What its text leaves open is chosen here, and said: how many drops, how long a l
 to the base image's normalised brightness" means, and two of the three axes of a splash.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.drops import impacts

@@ -1,7 +1,5 @@
 """A camera while its shutter is open: its numbers for kernels, the air and ground that it sees."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

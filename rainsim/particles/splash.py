@@ -7,8 +7,6 @@ Splashes are drawn (see `splash_pass`) and forgotten: their water (a few percent
 stays booked where the drop fell.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Impacts of the rain are sought, tested and drawn in one pass; drips that have la
 same pass can list the impacts that show, for labels: nothing else lists splashes as a whole.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ are Gaussian clouds, as are the mist's. A drop is in one of both, so that all of
 same light wherever the line is drawn.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

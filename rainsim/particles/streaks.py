@@ -7,8 +7,6 @@ product of transmittances, summed as optical depths in whole numbers, so that ne
 nor the number of threads matters.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from typing import NamedTuple

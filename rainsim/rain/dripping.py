@@ -5,8 +5,6 @@ there is enough for a drop. Under an overhang the drop falls, from rest; at a wa
 the ground the water runs down and off at the wall's foot. Every surface keeps a film of water.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 

@@ -1,7 +1,5 @@
 """Which share of the rain reaches each cell of the ground, past all that stands in its way."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -4,8 +4,6 @@ The map is made of flat-topped cells. A drop's path is a straight line from the 
 where it first meets a column's top or side or the ground.
 """
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple

@@ -5,8 +5,6 @@ map in an interval are found without a history: cube by cube of the co-moving fr
 for each drop, and the search along its path for those that pass it.
 """
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass
 from typing import NamedTuple

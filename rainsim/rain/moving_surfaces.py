@@ -1,7 +1,5 @@
 """The map that drops hit over time: the still map, with actors over it."""
 
-from __future__ import annotations
-
 import math
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple

@@ -4,8 +4,6 @@ In the frame that moves with a size class its drops are a frozen Poisson field, 
 lists of `rainsim.drops` and the streaks of a picture both take their drops from these functions.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import NamedTuple
 

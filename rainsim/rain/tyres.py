@@ -4,8 +4,6 @@ All of it follows from the cars' tracks, a time and the water of that time, so t
 none before it. The simulated water knows no tyres.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -7,8 +7,6 @@ Infinite logarithms and logits have a meaning: a logit of +inf is an opacity of 
 it for the full byte of SPZ and SOG), of -inf one of 0, and a logarithm of -inf a scale of 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import InputError

@@ -4,8 +4,6 @@ Nothing of it is known. It is a start from which a person mends up and scale by 
 each assumption is a note of its own, with the option that corrects it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

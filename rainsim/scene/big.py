@@ -1,7 +1,5 @@
 """Captures in chunks (Streamed SOG) as scenes: the pages, and the whole as a coarse level."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 

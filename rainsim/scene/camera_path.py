@@ -8,8 +8,6 @@ it time goes on from frame to frame. Its seconds are those of the file's own `fp
 frame rate shows the same states of the rain, faster or slower.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rule for cameras, wherever they come from: options, files, the page."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ COLMAP's camera axes (x right, y down, z forward) and pixel centres are ours. An
 world points to its camera.
 """
 
-from __future__ import annotations
-
 import math
 import mmap
 import struct

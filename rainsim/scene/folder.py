@@ -4,8 +4,6 @@ A scene folder holds `scene.json` (name, source, notes, cameras, ground frame) a
 activated arrays of Splats, uncompressed), and where there are any `actors.npz` and `classes.npz`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from concurrent.futures import ThreadPoolExecutor

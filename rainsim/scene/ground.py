@@ -5,8 +5,6 @@ with opacity; cameras stand above it and give its sign; its scale follows from a
 said loudly, from an assumed height of the cameras.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The search for the ground among a capture's splats, level as its cameras were held."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Real spherical harmonics of splats as matrices: their values, and how they turn with an actor."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -5,8 +5,6 @@ brighter it is than the road, so a description of the scene names its lamps, and
 made as bright as such lamps are.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ left over: a camera that a solver misplaced gets next to none. Upright walls are
 The splats then need to tell only how far below the cameras the ground lies.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

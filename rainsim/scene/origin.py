@@ -4,8 +4,6 @@ float32 has steps of half a metre at 5,000 km, where northings of UTM lie. Splat
 therefore kept near 0, and the whole numbers that were taken off with the scene.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.io.files import MAX_LENGTH

@@ -4,8 +4,6 @@ What is kept stays below a limit in bytes; what was used longest ago goes first.
 was kept or is read again changes no number.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor

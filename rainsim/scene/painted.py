@@ -4,8 +4,6 @@ They lie in the ground frame with a place and a cell of their own, so that a map
 and extent takes them; names stand for the classes, because codes may change between versions.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Files of NeRF's synthetic scenes do: their reader measured the pictures.
 """
 
-from __future__ import annotations
-
 from rainsim.errors import InputError
 
 NERF_SIDE = 800  # px, of the pictures of NeRF's synthetic scenes

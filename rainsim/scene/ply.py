@@ -12,8 +12,6 @@ stand in any order; unknown ones are ignored. These variants are recognised by t
 PGSR writes the original properties.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Headers of PLY files: which elements lie where in the file, checked against its size."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ frame is, whatever the file has. Blender's cameras come from `examples/blender_c
 writes a `transforms.json` with one more key, `shot`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

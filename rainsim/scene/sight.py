@@ -4,8 +4,6 @@ Two valid files need not be of one place: cameras of another capture, splats tha
 or scaled on export. What the cameras see tells it before anything is computed.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cameras of USD stages, read by OpenUSD's own library, from the extra `usd`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import InputError, RainsimError

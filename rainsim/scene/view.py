@@ -7,8 +7,6 @@ in the ground frame (x and y level, z up) unless a name says otherwise; the came
 the right, y down and z along the view axis.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache, wraps
 from typing import NamedTuple
 

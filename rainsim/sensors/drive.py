@@ -1,7 +1,5 @@
 """A lidar's turns in each rain, and the folder that they are written to."""
 
-from __future__ import annotations
-
 import re
 import sys
 

@@ -5,8 +5,6 @@ they are too heavy and are wiped away. A ray through a cap is refracted where it
 and where it leaves, and looks up a wide picture of the rainy scene; the caps are far out of focus.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

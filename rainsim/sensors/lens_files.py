@@ -1,7 +1,5 @@
 """Lens distortion from the files that a capture's cameras came with."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rainsim.errors import InputError, ParameterError, shown

@@ -6,8 +6,6 @@ stands behind. What the rain between takes away is its mean extinction, as in LI
 are where they are as each pulse passes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

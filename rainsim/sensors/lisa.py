@@ -6,8 +6,6 @@ least power is reported. The formulas are LISA's; the spectrum is that of our ra
 track it, so that both differ in the drops alone.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The drops around a sensor: of each size those that are near enough to matter."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.drops import Drops

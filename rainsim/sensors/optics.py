@@ -4,8 +4,6 @@
 sharp and at once: the shutter is the mean of several such pictures, glass and lens change that.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

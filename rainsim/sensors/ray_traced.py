@@ -9,8 +9,6 @@ pixels^2 at the distance where it stands, as the picture does. What differs from
 each ray projects on its own, where the picture takes one projection for all pixels of a splat.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 The vehicle's frame has x ahead, y left and z up, in metres. A path of cameras says where it drives.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from fractions import Fraction

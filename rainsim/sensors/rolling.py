@@ -6,8 +6,6 @@ MOST_SHIFT in 99 % of its pixels, and it is read within half the exposure, so th
 by at most a quarter of their length. A band that turns out to be too high is drawn again, lower.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Time of the rain: it plays, stands still, steps or runs in a loop, at true speed or slower."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

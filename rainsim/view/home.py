@@ -1,7 +1,5 @@
 """Files to take home, from which `rainsim run` draws the same picture, and its command."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import signal

@@ -1,7 +1,5 @@
 """Keyframes of camera and settings, and the smooth path through them."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Pictures that a page can show in place of the rain: layers of the frame, maps of the terrain."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.render.aov import AOVS, INDEX, PICTURE, SHARE

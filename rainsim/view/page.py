@@ -4,8 +4,6 @@ With its neighbours `page_settings`, `page_ground`, `page_home` and `page_keyfra
 that speaks to viser. Callbacks run in viser's threads and only hand on to the `Painter`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

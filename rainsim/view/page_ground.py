@@ -1,7 +1,5 @@
 """The page's tools on the ground: read a point, measure, set scale and up, paint, flood."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page's tools that take something home: screenshots, keyframes, paths, films drawn here."""
 
-from __future__ import annotations
-
 import threading
 
 from rainsim.config.frame_settings import MAX_SIDE

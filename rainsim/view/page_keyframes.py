@@ -1,7 +1,5 @@
 """The page's list of keyframes: camera and settings at their times, to be edited and played."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import replace

@@ -5,8 +5,6 @@ its callbacks, and shows them to all pages that come later. A value that cannot 
 at the socket, and that page shows why.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from weakref import WeakKeyDictionary

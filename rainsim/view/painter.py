@@ -1,7 +1,5 @@
 """The thread that draws: pictures for all clients, and whatever else needs the kernels."""
 
-from __future__ import annotations
-
 import queue
 import threading
 import time

@@ -1,7 +1,5 @@
 """Readings at clicked points, and results of several points: a length, a plane."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ date. A small picture is shown even if it is a little late, or a drag would show
 is given up between two stages as soon as its generation is no longer the client's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 LEAST_WIDTH, FULL_WIDTH = 324, 648  # px, unless chosen otherwise

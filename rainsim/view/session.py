@@ -3,8 +3,6 @@
 All methods but `set_config` belong to the thread that draws.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import partial

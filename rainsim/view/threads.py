@@ -4,8 +4,6 @@ A browser on the same machine that draws its page without a GPU takes a core or 
 threads wait for the slowest of them, so that one thread less may then be faster.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from statistics import median
 

@@ -1,7 +1,5 @@
 """The water over time of all who look at one scene: simulated once, kept as far as memory goes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 KEPT_BYTES = 256e6  # of states; those first forgotten that were asked for longest ago

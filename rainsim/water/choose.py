@@ -6,8 +6,6 @@ is left grows as steps get shorter. At fronts, bores and moving shorelines it fa
 in time that remain ask for shorter steps. Films are held back by friction; there either is right.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 SCHEMES = ("auto", "accurate", "lean", "paper")

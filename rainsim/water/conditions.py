@@ -6,8 +6,6 @@ is a wall there, but what comes in passes its faces at the speed that it has in 
 `StaggeredFlow.let_in`; what is wanting there is added.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@
 between them. "lean" does both in one pass over memory, within `advance_depth`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -14,8 +14,6 @@ comes from one sweep over the cells in ascending order, and spilling follows a u
 in which a full depression passes what it gets to where it spills, so each fills up once.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import ParameterError, require_not_negative, require_positive

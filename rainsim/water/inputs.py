@@ -1,7 +1,5 @@
 """The water solver's arguments: checked at the border and turned into maps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import ParameterError, require_choice, require_not_negative, require_positive

@@ -1,7 +1,5 @@
 """The tiles of a map, and those of them in which water moves."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.water.conserving import PAD

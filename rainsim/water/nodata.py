@@ -1,7 +1,5 @@
 """Cells of a map that have no height: walls, or a rim over which water leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import binary_dilation, grey_erosion
 

@@ -1,7 +1,5 @@
 """The water on objects above the ground: films, puddles, drips from them, and its account."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

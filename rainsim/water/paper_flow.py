@@ -1,7 +1,5 @@
 """The owner of the fields of the scheme "paper"."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

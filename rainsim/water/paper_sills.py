@@ -4,8 +4,6 @@ What `rainsim.water.conserving` does in `fill_edge_flux` and `speed_out`, for th
 need it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 # edge: sign of the outward direction, whether columns are counted, the last one

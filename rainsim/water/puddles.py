@@ -1,7 +1,5 @@
 """Puddles: where rain of the past stands on a terrain, and how more rain or sun moves them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

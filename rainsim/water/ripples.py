@@ -5,8 +5,6 @@ its own. The tile evolves their spectrum exactly, at one water depth, and gives 
 shading. It lies over the flow and does not act on it.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

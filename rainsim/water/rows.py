@@ -5,8 +5,6 @@ Of arrays it must ask that at run time, pair by pair, and above eight pairs it g
 on the stack it knows. They also cost no allocation.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Numbers that change with time: rain, stages and discharges, given or read from a table."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

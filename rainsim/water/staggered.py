@@ -1,7 +1,5 @@
 """Depth and velocity on a staggered grid: the state that all schemes have."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.water.bundles import StepNumbers, Water

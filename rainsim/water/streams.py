@@ -11,8 +11,6 @@ Where water runs is found on blocks of cells. Hollows that are not full keep wha
 ground water finds the way to the lowest rim.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ drips. A shower takes minutes to fill it, and a film seconds pass: so the puddle
 some amounts of rain, once, and the water on a top says which of them shows.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

@@ -1,7 +1,5 @@
 """How full the film of a road is where tyres have rolled."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 They are those that `rainsim.render` draws for the camera, each class as far as it shows one by one.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

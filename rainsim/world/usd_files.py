@@ -3,8 +3,6 @@
 All are in the ground frame, in metres with z up; a time code is a frame.
 """
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """All files of a scene in the rain for other renderers, frame by frame."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 from rainsim.drops import Weather

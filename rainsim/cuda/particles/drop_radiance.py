@@ -1,7 +1,5 @@
 """Twin of `rainsim.particles.drop_radiance`: a block of threads for each cell and each place."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ONE, ZERO

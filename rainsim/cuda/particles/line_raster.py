@@ -4,8 +4,6 @@ Twins of `particles.line_raster.read_depth` and `resolve_band`; the marks themse
 see `cuda.warp`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ZERO

@@ -5,8 +5,6 @@ that does and lists its droplets and the pieces of its crown, a lane for each. A
 each piece.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda import drops

@@ -4,8 +4,6 @@ The host finds the drops and the clouds, as for frames of the CPU. The drops are
 streaks of the rain; of the clouds a thread takes a pixel through all.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO

@@ -6,8 +6,6 @@ and a group of lanes draws it, a lane a stretch of the path. Optical depths are 
 are added up, so that no order matters.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Drips in the air and those that have just landed, as a list on a CUDA device, and as pictures."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

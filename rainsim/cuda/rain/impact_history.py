@@ -4,8 +4,6 @@ A frame shows the splashes of a quarter of a second. Listing the hits of an inte
 drawing their splashes, so each interval is listed once and kept.
 """
 
-from __future__ import annotations
-
 import math
 
 from rainsim.cuda.drops import Impacts, room_for

@@ -3,8 +3,6 @@
 The host puts the actors onto its map; the windows that they cover, and have covered, are sent.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.driver import Staging

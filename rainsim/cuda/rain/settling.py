@@ -3,8 +3,6 @@
 Sums are taken in whole numbers, so that the order of a list does not matter.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

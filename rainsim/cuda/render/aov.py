@@ -5,8 +5,6 @@ compute the layers from them. Mirrored pictures and the dry picture are splatted
 costs what it costs on the CPU, less the splatting.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.render.frame import INPUTS, PASSES, Frame

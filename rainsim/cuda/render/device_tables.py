@@ -1,7 +1,5 @@
 """What the passes of a device read: the maps and numbers of a frame, sent from the host."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

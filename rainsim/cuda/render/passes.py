@@ -3,8 +3,6 @@
 Each takes device arrays and queues the work on the device; some wait for a count.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.jit import cuda

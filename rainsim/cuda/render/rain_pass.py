@@ -1,7 +1,5 @@
 """Twin of `rainsim.render.rain_pass`: streaks, splashes and fog of one frame after another."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

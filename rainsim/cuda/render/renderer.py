@@ -5,8 +5,6 @@ stands in `rainsim.cuda.render.passes`. The finished picture is copied to the ho
 frame is drawn.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ A thread takes a splat: its place, covariance and normal turn with the actor, an
 mixed within each degree. The static set and all addresses stay as they are.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ moment by moment. Those whose colours change are sent for each moment, as
 `rainsim.splatting.merged` has them on the host. The room's other chunks are never drawn.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.jit import cuda

@@ -7,8 +7,6 @@ An entry is a 32-bit key, tile * levels + level of the depth, and a value: the s
 bits, above them one bit for each quarter of 8 x 8 pixels of the tile that the splat's box meets.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

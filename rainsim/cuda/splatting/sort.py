@@ -1,7 +1,5 @@
 """The sort of a picture's entries: cuda.compute's radix sort, in the simulator numpy's."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import os

@@ -5,8 +5,6 @@ along the conditions is sent before each launch and read after it. The rest of t
 device.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.driver import Counted, Staging

@@ -4,8 +4,6 @@ It decides about a step as `LeanFlow` does, whose code it shares; what is done t
 by the kernels of `rainsim.cuda.water.flow`, after each of which the host reads what it found.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 

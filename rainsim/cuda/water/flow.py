@@ -10,8 +10,6 @@ twice; `parity` is the number of the present copy. Ghost cells never change: wat
 through the edges, so the upwind cell lies inside. The faces of walls stay 0.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

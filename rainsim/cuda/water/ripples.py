@@ -6,8 +6,6 @@ A block transforms a row in shared memory and writes it as a column; twice that 
 two dimensions.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

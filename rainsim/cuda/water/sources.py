@@ -4,8 +4,6 @@ Drops that settle on the device wait as whole numbers, so that their order does 
 the sources are applied for no time. A cell drains or its ground takes water, not both.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

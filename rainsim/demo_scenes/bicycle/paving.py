@@ -1,7 +1,5 @@
 """The paved path: shape of its bed, flagstones in a broken bond, joints and fallen leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.build import OVERLAP, cells, discs, join, lit, unit

@@ -1,7 +1,5 @@
 """Lawn, hedges, bushes and trees."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.bicycle.paving import FAR_EDGE, NEAR_EDGE

@@ -1,7 +1,5 @@
 """Houses along the street: brick and render, windows dark and lit, shops on the ground floor."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.build import OVERLAP, box, cells, discs, join, line, replace_colour

@@ -1,7 +1,5 @@
 """The street's kerbs and flagged footways."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.build import OVERLAP, box, discs, join, replace_colour, strands

@@ -4,8 +4,6 @@ The built-in street has one `Layout` that was made by hand (`road.LAYOUT`); a st
 length has one that `long_layout` draws by a seed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The street's ground: cambered asphalt, gutters that fall to drains, kerbs, flagged footways."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes import build

@@ -5,8 +5,6 @@ up, back) and glTF y up, so their splats are rotated. A USD stage says where up 
 unit is; its splats are in metres with z up.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path

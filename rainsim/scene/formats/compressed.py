@@ -4,8 +4,6 @@ Chunks hold the range of positions, log scales and (newer files) colours; a spla
 them in 11, 10 or 8 bits; an optional element holds spherical harmonics as bytes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import InputError

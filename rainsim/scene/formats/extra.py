@@ -5,8 +5,6 @@ first, down to the size of every array that a decoder indexes. Any error that a 
 becomes one line.
 """
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from importlib import import_module
 

@@ -5,8 +5,6 @@ it writes one. Splats are turned back, so that they fit the cameras of the captu
 Names, types and formulas are those of the extension's specification (Khronos Group, 2026).
 """
 
-from __future__ import annotations
-
 import json
 import mmap
 import os

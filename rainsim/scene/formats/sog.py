@@ -4,8 +4,6 @@ Bundled, all lie in one zip file; unbundled, in one folder. Both are checked and
 decoder as a fresh bundle in memory, so that it meets no name, size or value it cannot trust.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -6,8 +6,6 @@ degree 0 as entries of a palette. The palette is found by splitting: the set of 
 two at the mean along the direction in which it spreads most, again and again.
 """
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -5,8 +5,6 @@ a half turn about x, which positions, rotations and spherical harmonics all make
 leave the turn out (nianticlabs/spz, issue 84); an extension of the format names the axes.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from contextlib import contextmanager

@@ -6,8 +6,6 @@ boxes. A leaf of the tree has for each level a run of splats in one chunk. All l
 the same part of the scene; level 0 is the finest.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass
