@@ -39,7 +39,7 @@ ENVIRONMENT = f"env/{META}"
 WRITERS = 2  # threads
 
 
-def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False, keep=None):
+def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False):
     """Write a Streamed SOG of a capture.
 
     blocks : callable. blocks() returns an iterator over the capture's `Splats`,
@@ -48,12 +48,8 @@ def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False, keep=None):
     tell : callable, optional. tell(done, total) is called as splats are written.
     antialiased : bool. Whether the chunks say that their splats were trained
         antialiased.
-    keep : object, optional. Of a cut that can be gone on with: its begin() is
-        called before the first chunk is written, has(name) says whether a chunk
-        is there whole, and done(name) notes one that is. Without it what a cut
-        that fails has written is removed.
     Returns list of int. Splats of each level, without those that are always
-        drawn.
+        drawn. What a cut that fails has written is removed.
     Raises InputError if there are no splats.
     """
     folder = Path(folder)
@@ -71,7 +67,7 @@ def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False, keep=None):
             is_broad = block.scale.max(axis=1) > broad
             sorted_.add(block.take(~is_broad), tree)
             sorted_.add_broad(block.take(is_broad))
-        chunks = _Chunks(folder, antialiased, keep)
+        chunks = _Chunks(folder, antialiased)
         return _write(chunks, sorted_, tree, tell or (lambda done, total: None))
 
 
@@ -319,7 +315,6 @@ class _Chunks:
 
     folder: Path
     antialiased: bool
-    keep: object = None
     names: list = field(default_factory=list)
 
     def of_levels(self, levels):
@@ -329,8 +324,6 @@ class _Chunks:
         self._number = [0] * levels
         self._file = [None] * levels
         self._pool, self._ahead = ThreadPoolExecutor(WRITERS), deque()
-        if self.keep is not None:
-            self.keep.begin()
         return self
 
     def __enter__(self):
@@ -345,7 +338,7 @@ class _Chunks:
                     self._ahead.popleft().result()
         finally:
             self._pool.shutdown(cancel_futures=True)
-            if kind is not None and self.keep is None:
+            if kind is not None:
                 for name in [*self.names, ENVIRONMENT]:
                     shutil.rmtree((self.folder / name).parent, ignore_errors=True)
 
@@ -369,13 +362,8 @@ class _Chunks:
         self._file[level] = None
 
     def write(self, name, splats):
-        """Write a chunk beside the work on the next ones, unless it is there."""
+        """Write a chunk beside the work on the next ones."""
         while len(self._ahead) > WRITERS:
             self._ahead.popleft().result()
-        if self.keep is None or not self.keep.has(name):
-            self._ahead.append(self._pool.submit(self._write, name, splats))
-
-    def _write(self, name, splats):
-        write_sog((self.folder / name).parent, splats, self.antialiased)
-        if self.keep is not None:
-            self.keep.done(name)
+        chunk = (self.folder / name).parent
+        self._ahead.append(self._pool.submit(write_sog, chunk, splats, self.antialiased))
