@@ -194,7 +194,6 @@ class Staging:
     def send(self, array, values, window=None):
         """Queue the copy of host values to a device array; they may be changed afterwards.
 
-        array : device array. Contiguous, unless a window is sent.
         values : ndarray. Of the shape of the array or with fewer rows, the first
             ones; or of that of the window.
         window : tuple of slice, optional. Rows and columns of the array, of which
@@ -221,7 +220,6 @@ class Staging:
 class SentRows:
     """Rows of the host on the device, in an array that grows where it must.
 
-    shape : tuple of int. Of a row.
     array : device array (room, *shape)
     """
 

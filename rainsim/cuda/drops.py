@@ -36,8 +36,6 @@ _ASIDE = 1e-3  # of a cell, or m: how far it looks beyond
 class Columns(NamedTuple):
     """Columns of cubes over a map, class by class.
 
-    counts : int64 device array (CLASSES + 1,). How many the classes before each
-        have, and all together.
     first, last : int64 device array (CLASSES, 3). First and last cube of each
         class along x, y and z.
     """
@@ -258,11 +256,7 @@ def _column_of(task, columns):
 
 
 class Listed(FrameUniforms):
-    """The interval that is listed, as kernels take it; each `send` blanks "sought".
-
-    field : RainField. Of the weather.
-    field : DropField. Of device arrays both.
-    """
+    """The interval that is listed, as kernels take it; each `send` blanks "sought"."""
 
     def __init__(self, field):
         i8, i4 = np.int64, np.int32
@@ -287,10 +281,6 @@ class Listed(FrameUniforms):
 class Impacts:
     """The drops that end on a map, listed on a CUDA device; twin of `drops.impacts`.
 
-    field : RainField. Of the weather; `list` takes those of other times.
-    room : int. Of a list; it grows where it does not suffice.
-    slots : int. Lists that are kept.
-    lists : ImpactLists. In no order.
     surfaces : HeightFields. Of device arrays.
     """
 
@@ -348,11 +338,7 @@ class Impacts:
         return max(int(self._found.read(self.lists.found).max()) - self.room, 0)
 
     def settle(self, start, stop, land, ripples, point, came_out):
-        """Queue the giving of the first list's water to `land`, `ripples` and drip points.
-
-        start, stop : float [s]. The interval that is listed.
-        land : DeviceSources
-        """
+        """Queue the giving of the first list's water to `land`, `ripples` and drip points."""
         blocks = -(-self.room // THREADS) if not SIMULATED else 2
         settling.settle[blocks, THREADS](
             self.lists, float(start), float(stop), 0, self._fall, land.cells, ripples.tile, point,

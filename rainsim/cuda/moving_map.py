@@ -16,9 +16,6 @@ class MovingMap:
     def send(self, values, windows, still=None):
         """Queue the sending of what differs from the map that is there.
 
-        values : array (ny, nx, ...)
-        windows : list of tuple of slice. Rows and columns in which they differ
-            from the map without what moves.
         still : object. What stands for that map: if it is another one than
             before, all is sent.
         """

@@ -29,15 +29,10 @@ from rainsim.water.ripples import LAYERS, tile_impacts
 class DeviceState:
     """Water at one frame's time, on the device.
 
-    index : int. Of the frame that shows it.
-    time : float [s]
     depth : float32 device array (ny, nx) [m]. Depth above the bed, film included;
         overwritten by the simulation's next step, as `moments` is.
     moments : device array of shape (n, n + n // 2, 6). Of the ripples' slopes, see
         `reflection.slope_moments`.
-    tile_size : float [m]. Side of the periodic tile of ripples.
-    ledger : dict. Volumes in m3, see `rainsim.ledger`.
-    notes : tuple of str
     step : int. Of the simulation.
     """
 
@@ -72,7 +67,6 @@ class Simulation:
     """Rain, water and ripples of a configuration on a terrain, frame by frame.
 
     config : Config. Water of scheme "auto" is computed by "lean" here.
-    water : GpuWaterSolver
     drip_list : DripList or None. Drips of the last state; None if nothing drips.
     """
 

@@ -17,13 +17,7 @@ BLOCKS = ("patch_high", "around_high")
 
 
 class MovingHeights:
-    """The height fields of a terrain with the actors on it, on a device.
-
-    still : Surfaces. Without what moves.
-    footprints : sequence of Footprint
-    fields : HeightFields. Of device arrays, with a sky above all that the actors
-        ever reach.
-    """
+    """The height fields of a terrain with the actors on it, on a device; `still` is without."""
 
     def __init__(self, still, footprints):
         fields = sent_surfaces(still)
@@ -47,13 +41,7 @@ class MovingHeights:
 
 
 class Shelter:
-    """What moves over the water of a device keeps the rain off it.
-
-    terrain : Terrain. With footprints.
-    wind : tuple. As `MovingSurfaces` takes it, and the roughness.
-    sources : DeviceSources. Of the water.
-    impacts : Impacts. The drops that are listed.
-    """
+    """What moves over the water of a device keeps the rain off it."""
 
     def __init__(self, terrain, wind, sources, impacts):
         self._moving, self._sources = MovingSurfaces(terrain, *wind), sources

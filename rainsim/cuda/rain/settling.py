@@ -31,7 +31,6 @@ class ImpactLists(NamedTuple):
         it has no room.
     values : float64 device array (slots, room, VALUES). See X to TIME.
     labels : int32 device array (slots, room, LABELS). See CLASS to COLUMN.
-    ids : uint64 device array (slots, room)
     """
 
     found: object
@@ -70,10 +69,6 @@ class RippleTile(NamedTuple):
 def settle(lists, start, stop, slot, fall, layout, tile, point, waiting_out, came_out, pushes_out):
     """Give the water of listed drops to the cells that they fell on, and some to the ripples.
 
-    start, stop : float [s]
-    slot : int. Which of the lists.
-    fall : float64 device array (CLASSES,) [m/s]. Fall speeds.
-    layout : CellLayout. Of `waiting_out`.
     point : int32 device array (ny, nx). The point of `came_out` that a cell's
         water goes to; negative: the last.
     waiting_out : device array, int64. Depth that waits in each cell, in
@@ -109,7 +104,6 @@ def ring_each(count, drops, tile, pushes_out):
 
     drops : float64 device array (room, 4). Place (x, y) [m], momentum [kg m/s], and
         the time since it came down over the interval's length.
-    pushes_out : int64 device array. As in `settle`.
     """
     for n in range(cuda.grid(1), count, cuda.gridsize(1)):
         _ring(drops[n, 0], drops[n, 1], drops[n, 2], drops[n, 3], tile, pushes_out)

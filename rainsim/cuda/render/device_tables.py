@@ -19,12 +19,7 @@ from rainsim.shading.wetting import SkyMaps
 
 
 class DeviceTables:
-    """Maps and numbers on a device; `tables["rings"]` is a device array.
-
-    place : tuple. Corner (2,) and spacing [m] of the map.
-    camera : DeviceView. Of the frame.
-    march : MarchSettings. Of the frame.
-    """
+    """Maps and numbers on a device; `tables["rings"]` is a device array."""
 
     def __init__(self, conductor):
         self.conductor, self.camera = conductor, DeviceView()
@@ -139,7 +134,6 @@ class DeviceTables:
               mirrored=False):  # fmt: skip
         """Queue the grading and wetting of the layers of a picture.
 
-        camera : DeviceView
         picture_out, depth_out, clearance_out, cover_out : device array. See
             `grade_and_wet`; without the last the film's mirror is not apart.
         """

@@ -62,9 +62,6 @@ def start(
         (chunks, 6), float32. `box`, `span` and `reach` of the prepared splats.
     view, lens, size, near, plane : device array. Numbers of the camera: pose (3,
         4), lens, width and height, the four from NEAR on, plane.
-    seen_out : bool device array (chunks,)
-    begin_out, end_out : int32 device array (tiles,)
-    total_out : int32 device array (1,)
     """
     i = cuda.grid(1)
     if i == 0:

@@ -21,11 +21,8 @@ from rainsim.water.conserving_flow import LeanFlow
 class DeviceLeanFlow(LeanFlow):
     """The flow of "lean" whose fields lie on a CUDA device.
 
-    flow : LeanFlow. Of float32; `restore` takes over its state.
     cells : CellLayout
     parity : int. Which copy of the fields is the present one.
-    fields, remainder : float32 device array. See `flow.step`.
-    strip : conditions.Strip or None. What conditions at edges read and write.
     has_changed : bool. Whether a launch has moved water since somebody set it to
         False.
     """

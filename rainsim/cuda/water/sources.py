@@ -53,12 +53,8 @@ def apply_sources(
 ):  # fmt: skip
     """Add rain, take losses and fill the films, then sum up; see `water.sources.apply_sources`.
 
-    parity : int. Of the present copy of `w_out`.
-    rate : float32 [m/s]. Of the rain.
     dt : float [s]. If 0 the drops that wait are added; if negative nothing is
         done but the sums and the depth.
-    w_out : float32 device array. As `flow.step` has it.
-    remainder_out, film_out : float32 device array (cells,) [m]
     waiting_out : int64 device array (cells,). Depth of drops, in UNIT; blanked
         where they are added.
     depth_out : float32 device array (ny - 4, nx - 4) [m]. Depth above the bed,
@@ -123,13 +119,9 @@ def add_drops(count, places, depths, waiting_out):
 class DeviceSources:
     """The sources of a `DeviceLeanFlow`: what `Sources` has, on the device.
 
-    given : Sources. Of a solver of the same map; `restore` takes over its state.
     exposure : float32 array (ny, nx), optional. Share of the rain that falls on
         each cell; that of `given` by default.
-    exposed : float. Share of the rain that falls on each cell, summed over them.
-    cells : CellLayout. Of `waiting`.
     waiting : int64 device array. Depth of drops that have settled since, in UNIT.
-    film_there : float32 device array. The films.
     depth : float32 device array (ny, nx) [m]. Depth above the bed, film included,
         as of the last `apply` or `standing`.
     """
