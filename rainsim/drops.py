@@ -213,7 +213,6 @@ class RainField:
         time : float [s]
         low, high : array_like of shape (3,) or (CLASSES, 3) [m]. Of each class if
             they differ: cubes of a class that touch its own box are listed.
-        Returns Drops
         """
         time = require_finite("time", time)
         low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)

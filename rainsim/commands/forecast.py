@@ -98,23 +98,19 @@ class Forecast:
         if self._status.verbose or needed > free or left > LONG:
             self.say(text, bold=needed > free)
 
-    def _finished(self):
-        """Return entries of the journal of finished frames, by index."""
+    def _bytes_of_frames(self):
+        """Return what a frame and its layers take on average, by name."""
         from rainsim.io.journal import Journal
         from rainsim.output_folder import JOURNAL, OURS
 
         # One of its own: that of the record has read what stood there before the run.
         entries = Journal(self._folder, JOURNAL, OURS.fullmatch).entries()
-        return {index: entries[index] for index in sorted(entries)[-MEASURED:]}
-
-    def _bytes_of_frames(self):
-        """Return what a frame and its layers take on average, by name."""
-        entries = self._finished()
+        last = [entries[index] for index in sorted(entries)[-MEASURED:]]
         sizes = dict.fromkeys(("frames", "layers", "exr"), 0.0)
-        for entry in entries.values():
+        for entry in last:
             for name in entry["files"]:
                 size = (self._folder / name).stat().st_size
-                sizes[name.split("/")[0]] += size / len(entries)
+                sizes[name.split("/")[0]] += size / len(last)
         return {name: size for name, size in sizes.items() if size > 0}
 
 

@@ -10,7 +10,7 @@ import shutil
 import tempfile
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -67,15 +67,14 @@ def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False):
             is_broad = block.scale.max(axis=1) > broad
             sorted_.add(block.take(~is_broad), tree)
             sorted_.add_broad(block.take(is_broad))
-        chunks = _Chunks(folder, antialiased)
-        return _write(chunks, sorted_, tree, tell or (lambda done, total: None))
+        return _write(folder, antialiased, sorted_, tree, tell or (lambda done, total: None))
 
 
-def _write(chunks, sorted_, tree, tell):
+def _write(folder, antialiased, sorted_, tree, tell):
     """Write all chunks and the index; return the number of splats of each level."""
     sides = _sides(sorted_)
     boxes, runs, done, total = {}, {}, 0, sorted_.count
-    with chunks.of_levels(len(sides)):
+    with _Chunks(folder, antialiased, len(sides)) as chunks:
         for leaf in range(tree.leaves):
             splats = sorted_.leaf(leaf)
             if not len(splats):
@@ -99,7 +98,7 @@ def _write(chunks, sorted_, tree, tell):
         "filenames": chunks.names,
         "tree": tree.nested(boxes, runs),
     }  # fmt: skip
-    with replacing(chunks.folder / LOD_META) as path:
+    with replacing(folder / LOD_META) as path:
         path.write_text(json.dumps(index, separators=(",", ":")), encoding="utf-8")
     return counts
 
@@ -309,22 +308,15 @@ class _Sorted:
         return self.leaf(self.leaves) if self.counts[self.leaves] else None
 
 
-@dataclass
 class _Chunks:
     """Runs of splats on their way into chunks, level by level."""
 
-    folder: Path
-    antialiased: bool
-    names: list = field(default_factory=list)
-
-    def of_levels(self, levels):
-        """Begin to write chunks of so many levels; return this object."""
-        self.levels = levels
+    def __init__(self, folder, antialiased, levels):
+        self.folder, self.antialiased, self.levels, self.names = folder, antialiased, levels, []
         self._open = [[] for _ in range(levels)]
         self._number = [0] * levels
         self._file = [None] * levels
         self._pool, self._ahead = ThreadPoolExecutor(WRITERS), deque()
-        return self
 
     def __enter__(self):
         return self

@@ -90,7 +90,6 @@ def import_scene(
         `up` and the scale are then ignored.
     spz_frame : {"rub", "rdf"}, optional. Axes of an SPZ file that does not name
         them; by default those in which the cameras see.
-    Returns Scene
     """
     path, camera_notes = Path(path), []
     if actors_file(path) is not None:

@@ -123,7 +123,6 @@ class Tracer:
             from; by default from each ray's own virtual eye.
         stop : float. Transmittance at which a ray ends: what lies behind counts
             in no mean.
-        Returns Traced
         """
         n = len(origin)
         out = Traced(

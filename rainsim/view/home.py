@@ -156,7 +156,7 @@ class CommandRun:
     """A `rainsim` command in a process of its own, with its progress."""
 
     def __init__(self, saved):
-        self.saved, self._said = saved, ""
+        self.saved, self.last_line = saved, ""
         self.frames = _frames_of(saved.command)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "rainsim", *saved.command], stdout=subprocess.DEVNULL,
@@ -169,19 +169,13 @@ class CommandRun:
         folder = self.saved.folder / DRAWN / "frames"
         return sum(1 for _ in folder.glob("*.png")) if folder.is_dir() else 0
 
-    def follow(self, say):
-        """Call say(line) with each line of the run's status until it ends; return its exit code."""
+    def follow(self):
+        """Note the last line of the run's status until it ends; return its exit code."""
         for line in self._process.stderr:
             if text := line.strip():
-                self._said = text
-                say(text)
+                self.last_line = text
         self._process.stderr.close()
         return self._process.wait()
-
-    @property
-    def last_line(self):
-        """The last line that the run printed."""
-        return self._said
 
     def cancel(self):
         """Interrupt the run as Ctrl-C does; its finished frames stay."""

@@ -52,17 +52,14 @@ def mode_picture(
     wanted = (LAYERS[name],) if name in LAYERS else ("clean",) if name in MAPS else ()
     names = (*wanted, "drawn_depth") if wanted or (with_depth and session.backend != "cpu") else ()
     picture, report = session.draw(*shot, names, check, simple)
-    depth = report.aovs["drawn_depth"] if names else _depth_at_hand(session)
+    at_hand = session.renderer.frame["depth"] if session.backend == "cpu" else None
+    depth = report.aovs["drawn_depth"] if names else at_hand
     if name in LAYERS:
         return layer_picture(LAYERS[name], report.aovs[LAYERS[name]]), depth
     if name in MAPS:
         colors = _map_colors(session, name, amount)
         return over_ground(session, shot, report.aovs["clean"], depth, *colors), depth
     return picture, depth
-
-
-def _depth_at_hand(session):
-    return session.renderer.frame["depth"] if session.backend == "cpu" else None
 
 
 def layer_picture(name, values):

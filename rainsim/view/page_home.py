@@ -92,7 +92,7 @@ class HomeTools:
                 self.progress.value = 100.0 * run.drawn / run.frames
 
         self.page.begin(look)
-        code = run.follow(lambda line: None)
+        code = run.follow()
         ended.set()
         self._run = None
         self.stop.disabled, self.progress.value = True, 100.0 * run.drawn / run.frames
