@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks.chart import COLORS, MARKERS, log_ticks, require_matplotlib, save
+from benchmarks.mie import DB, spectrum_attenuation
 from benchmarks.rain import SIZES, WIND, level_camera, read_gauge
 from benchmarks.suite import markdown, quiet
 from rainsim.drops import RainField, RainSpectrum, flat_surfaces
@@ -22,7 +23,6 @@ from rainsim.rain.size_distribution import SMALLEST
 from rainsim.sensors.lidar import LidarScanner, Pose, Surface
 from rainsim.sensors.lidar_model import EXTINCTION_EFFICIENCY, SCATTERED, SENSORS
 from rainsim.sensors.lisa import loud_drops, scattered_share
-from rainsim.sensors.mie import DB, spectrum_attenuation
 from rainsim.sensors.radar import rain_attenuation
 
 RATES = (1.0, 10.0, 25.0, 50.0, 100.0)  # mm/h

@@ -1,7 +1,5 @@
 """The renderer and the simulation of each backend: the only module that imports both backends."""
 
-from __future__ import annotations
-
 from rainsim.errors import require_choice
 from rainsim.render.renderer import Renderer
 from rainsim.simulation import simulate
@@ -10,11 +8,7 @@ BACKENDS = ("cpu", "cuda")
 
 
 def on_backend(backend):
-    """Return the renderer class and the `simulate` function of a backend.
-
-    Raises ParameterError if there is no such backend.
-    Raises BackendError if it cannot run here; the message names the remedy.
-    """
+    """Return the renderer class and the `simulate` of a backend, or raise with the remedy."""
     require_choice("backend", backend, BACKENDS)
     if backend == "cpu":
         return Renderer, simulate

@@ -3,8 +3,6 @@
 Exit codes: 0 done, 1 the run failed, 2 wrong usage or values, 130 interrupted.
 """
 
-from __future__ import annotations
-
 import atexit
 import errno
 import gc

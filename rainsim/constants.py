@@ -4,8 +4,6 @@ Formulas of kernels work in single precision: a number there is written as `np.f
 a bare float would turn the formula into double precision. The commonest have names here.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 ZERO, ONE, TWO, THREE, FOUR = (np.float32(n) for n in range(5))

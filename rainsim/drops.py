@@ -11,8 +11,6 @@ the drops of the heaviest rain and leaves some out by their ids; whether a drop 
 the rate at the time when it passes z = 0, so that no drop ever appears or vanishes in the air.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise
@@ -42,10 +40,7 @@ _STEEP = 4.0  # room for hits per hit on level ground; walls in wind catch more 
 
 
 class Weather:
-    """The rain and the wind of a configuration's timeline at any time.
-
-    rains : bool. Whether it rains at any time.
-    """
+    """The rain and the wind of a configuration's timeline at any time."""
 
     def __init__(self, config):
         self._seed, self._radii = config.rain.seed, config.rain.drop_radii
@@ -158,7 +153,6 @@ class Weather:
 class RainField:
     """All drops of a steady rain in a steady wind, everywhere and at every time.
 
-    spectrum : RainSpectrum
     wind : (float, float) [m/s]. Horizontal velocity of the air along x and y.
     seed : int. Rains of different seeds are independent. At the same seed a
         lighter rain's drops are, nearly all, among a heavier one's.
@@ -174,10 +168,8 @@ class RainField:
         there are, at n even times of passing z = 0; the first and last hold
         before and after.
     clock : (float, float) [s]. The first of those times and the step.
-    velocity : float64 array (CLASSES, 3) [m/s]
     cube : float64 array (CLASSES,) [m]. Side of the cubes in which the class is
         listed.
-    mean_count : float64 array (CLASSES,). Drops in one of them.
     """
 
     def __init__(
@@ -221,7 +213,6 @@ class RainField:
         time : float [s]
         low, high : array_like of shape (3,) or (CLASSES, 3) [m]. Of each class if
             they differ: cubes of a class that touch its own box are listed.
-        Returns Drops
         """
         time = require_finite("time", time)
         low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
@@ -247,7 +238,6 @@ class RainField:
 
         low, high : array (3,) or (CLASSES, 3) [m]. Corners of the box, of each
             class if they differ.
-        start, duration : float or array (CLASSES, 1) [s]
         Returns first, last : int64 array (CLASSES, 3). Along x, y and z; none if
             the last is less.
         """
@@ -260,9 +250,6 @@ class RainField:
 class Drops:
     """Drops in the air at one time.
 
-    position : float64 array (n, 3) [m]
-    velocity : float64 array (n, 3) [m/s]
-    diameter : float64 array (n,) [m]
     id : uint64 array (n,). The drop's own random word: the same at all times;
         ascending.
     """
@@ -314,8 +301,6 @@ def impacts(field, surfaces, start, stop, smallest=0.0, within=None):
     path before `start` counts: under a roof there are no drops. Drops that come in over the map's
     edge below the highest top count if nothing on the map was in their way.
 
-    field : RainField
-    start, stop : float [s]
     smallest : float [m]. Classes that hold smaller drops only are not listed.
     within : array (2, 2) [m] or None. Low and high corner (x, y): only hits
         inside are listed.

@@ -11,8 +11,6 @@ The scheme of the first and the last line is a `rainsim.water.conserving_flow.Co
 `rainsim.water.sources`. The twin on a CUDA device is `rainsim.cuda.grid`.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import astuple, replace

@@ -144,11 +144,7 @@ __all__ = [
 
 
 def interleaved(count):
-    """Return 0 to count - 1, int64, in the order in which a parallel loop should take rows.
-
-    A loop gives each thread a run of iterations: this way each gets every n-th row, so that rows
-    with much to do are shared out.
-    """
+    """Return 0 to count - 1 so that each thread of a parallel loop gets every n-th row."""
     threads = numba.get_num_threads()
     return np.concatenate([np.arange(n, count, threads) for n in range(threads)]).astype(np.int64)
 
@@ -210,10 +206,7 @@ _alone = threading.RLock()
 
 
 def one_caller(method):
-    """Let one thread at a time call a method, where kernels may not run beside others.
-
-    So two threads may each advance a solver of their own under any threading layer.
-    """
+    """Let one thread at a time call a method, where kernels may not run beside others."""
 
     @functools.wraps(method)
     def call(*given, **named):

@@ -3,8 +3,6 @@
 initial + rain + inflow = ground + film + airborne + obstacles + infiltrated + drained + outflow
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 SUPPLY = ("initial", "rain", "inflow")

@@ -3,8 +3,6 @@
 Each stage can be run alone: `extract_terrain`, `simulate`, `render`; `render_rain` chains them.
 """
 
-from __future__ import annotations
-
 import bisect
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
@@ -105,11 +103,6 @@ class FrameSequence:
     A frame follows from the water at its time, which is simulated from the start on: from the last
     frame that was asked for, or for an earlier frame from the beginning again.
 
-    terrain : Terrain or PathGround. As `ground_of` returns it.
-    cameras : sequence of Camera. One per frame of the whole sequence, or one for
-        all, in the capture frame.
-    backend : {"cpu", "cuda"}
-    layers : sequence of str
     states : callable, optional. states(number) returns the `SimState` of a
         number; without it the water is simulated here. Which one a frame shows is
         `Config.moment`.
@@ -211,8 +204,6 @@ def ground_of(
     """Return the ground of frames: one `Terrain`, or a `PathGround` where it follows the path.
 
     cameras : sequence of Camera. As `FrameSequence` takes them.
-    backend : {"cpu", "cuda"}
-    mask, progress, say, water. As `extract_terrain` takes them.
     Raises ParameterError, BackendError if the path is asked for together with
         what needs one map.
     """
@@ -303,14 +294,10 @@ def frames_of(states, config, tell=None, skip=()):
 def render(scene, terrain, states, cameras, config, names=(), backend="cpu", optics=None):
     """Yield (picture, FrameReport) for each state and its camera.
 
-    states : iterable of SimState. In the order of their frames.
     cameras : sequence of Camera. One per frame of the whole sequence (the state's
         index picks), or one for all.
-    names : sequence of str. Layers that the reports are to hold, see
-        `rainsim.render.aov`.
     backend : {"cpu", "cuda"}. What draws. Pictures of "cuda" are overwritten by
         the next one.
-    optics : Optics, optional. As `render_rain` takes it.
     Yields picture : uint8 array (height, width, 3)
         report : FrameReport
     """

@@ -12,8 +12,6 @@ covariance, contributions under 1/255 are skipped, opacity is capped at 0.999, a
 is that of its centre. A block of 4 x 4 pixels stops when each lets less than 1e-4 through.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ objects take the rain evenly, as its rate and their shelter say: a cell gets ten
 and which ones is not seen in its depth. The drops that ring are listed on the ripples' tile.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -55,10 +53,7 @@ def steady_water(terrain, config, exposure, time):
 
 
 def initial_water(terrain, config, exposure, fallen=0.0):
-    """Return the depth [m] (ny, nx) at the start, and notes: a given level or past rain at rest.
-
-    `fallen` [m] is the rain that has come since the past rain.
-    """
+    """Return the depth [m] at the start, and notes: a given level or past rain at rest."""
     if config.water.level is not None:
         level = low_ground(terrain) + config.water.level
         depth = np.maximum(level - terrain.bed.astype(np.float64), terrain.water)
@@ -183,11 +178,7 @@ def simulate(terrain, config, dtype=np.float32, first=None):
 
 
 def ripple_tile(config, weather, depth, spacing):
-    """Return the `RippleTile` of a run.
-
-    depth : array (ny, nx) [m]. Of the water at the start.
-    spacing : float [m]. Width of a cell.
-    """
+    """Return the `RippleTile` of a run over water of a depth (ny, nx) [m]."""
     film, rate = config.water.surface_film, weather.mean_rate
     chord = mean_chord(depth, spacing, RIPPLE_DEPTHS[0])
     deep = puddle_depth(depth)
@@ -217,11 +208,7 @@ def usual_wind(config):
 
 
 def warm_up(ripples, objects, weather, time=0.0):
-    """Let the rain before a time [s] spread rings on the tile and wet the edges of objects.
-
-    ripples : RippleTile
-    time : float [s]
-    """
+    """Let the rain before a time [s] spread rings on the tile and wet the edges of objects."""
     for begin, end in _steps(RIPPLE_WARM_UP, time):
         rain = weather.field(begin, end)
         if rain is None:

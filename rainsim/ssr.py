@@ -13,8 +13,6 @@ visits the same pixels.
 the jumps over blocks of pixels, the bisection, and how the blocks' depths are found.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -57,11 +55,6 @@ class MarchSettings(NamedTuple):
 def march(blocks, view, start, direction, settings):
     """Find the first hit of a ray with the surfaces that a picture shows.
 
-    blocks : DepthBlocks
-    view : View. Of the picture; only its lens counts.
-    start : tuple of three float32 [m]. In the camera frame.
-    direction : tuple of three float32. Unit, in the camera frame.
-    settings : MarchSettings
     Returns distance : float32 [m]. Along the ray; negative if nothing was met
         within the picture.
     """

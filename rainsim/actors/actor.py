@@ -4,8 +4,6 @@ An actor's splats and box stand in the actor's own frame, whose unit of length i
 track says where that frame is in the capture frame at a time, and whether the actor is there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -49,12 +47,8 @@ class ColorSeries(NamedTuple):
 class Actor:
     """A rigid thing that moves, or could.
 
-    id : str. Of the track; differs from actor to actor.
-    kind : str. Class of the thing, such as car.
-    splats : Splats. In the actor frame, lengths in capture units.
     box : float64 array (2, 3) [capture units]. Centre and size of the actor's box
         along the axes of the actor frame.
-    track : Track
     series : ColorSeries or None. Colours over time in place of the first
         coefficients of `splats`.
     turning : bool. Whether the harmonics turn with the actor. Models that were
@@ -118,12 +112,7 @@ def _spread(splats):
 
 
 def with_actors(scene, actors, notes=()):
-    """Return a scene with actors; all splats get harmonics of one degree.
-
-    actors : sequence of Actor
-    notes : sequence of str. Added to those of the scene.
-    Raises ParameterError if two actors have the same id.
-    """
+    """Return a scene with actors of different ids; all splats get harmonics of one degree."""
     actors = tuple(actors)
     ids = [actor.id for actor in actors]
     if len(set(ids)) < len(ids):
@@ -140,11 +129,7 @@ def with_actors(scene, actors, notes=()):
 
 
 def require_no_actors(actors, what, remedy):
-    """Raise ParameterError if there are actors, which `what` does not know.
-
-    actors : sequence. Of a scene.
-    what, remedy : str. For the message.
-    """
+    """Raise ParameterError if there are actors, which `what` does not know."""
     if actors:
         raise ParameterError(
             f"the scene has {len(actors)} actors; {what} takes scenes without any; {remedy}"
@@ -152,10 +137,7 @@ def require_no_actors(actors, what, remedy):
 
 
 def scene_at(scene, time):
-    """Return the scene at a time [s] as one static set, without actors.
-
-    For what takes a single moment: the dry capture, sensors that hold one set of splats.
-    """
+    """Return the scene at a time [s] as one static set, without actors."""
     if not scene.actors:
         return scene
     poses = [actor.track.at(time) for actor in scene.actors]

@@ -5,8 +5,6 @@ of all actors one after the other, the keys of all tracks one after the other, a
 belong to each actor.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -60,15 +58,7 @@ _FIELDS = {
 
 @dataclass(frozen=True)
 class ActorsFile:
-    """The content of an `actors.json`.
-
-    static : Path. Of the scene that the actors move through.
-    lamps : tuple of Lamp. Of the static set, in the capture frame.
-    actors : tuple of Actor
-    files : tuple of Path. All files that were read: this one and those of the
-        actors' splats.
-    notes : tuple of str
-    """
+    """The content of an `actors.json`; `files` are all that were read, its splats' too."""
 
     static: Path
     actors: tuple
@@ -86,13 +76,7 @@ def actors_file(path):
 
 
 def read_actors(path):
-    """Read an `actors.json`.
-
-    path : path-like
-    Returns ActorsFile
-    Raises InputError if it breaks a rule of docs/actors.md, or a splat file
-        cannot be read.
-    """
+    """Read an `actors.json` by the rules of docs/actors.md, or raise InputError."""
     path = Path(path)
     data = read_json(path, "a description of actors")
     if not isinstance(data, dict) or data.get("rainsim_actors") != VERSION:
@@ -268,10 +252,7 @@ def actors_to_arrays(actors):
 
 
 def actors_from_arrays(arrays):
-    """Return the actors that `actors_to_arrays` gave, a tuple of Actor.
-
-    Raises ParameterError if the counts do not add up or a track breaks a rule.
-    """
+    """Return the actors that `actors_to_arrays` gave, or raise ParameterError."""
     counts = arrays["splat_count"], arrays["key_count"]
     terms = arrays["splat_count"] * arrays["term_count"]
     ends = [np.cumsum(n) for n in (*counts, terms)]

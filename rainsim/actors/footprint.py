@@ -4,8 +4,6 @@ An actor's highest and lowest surfaces are found once from its own splats, over 
 its own; at a time they are looked up for the cells of the map that the actor is over.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -42,12 +40,10 @@ class Shadow(NamedTuple):
 class Footprint:
     """The heights of an actor over the cells around it, wherever it is.
 
-    motion : Motion
     upright : float64 array (3, 3). Takes points of the actor frame [capture
         units] to the upright frame [m].
     low : float64 array (2,) [m]. Corner of the height fields in the upright
         frame.
-    spacing : float [m]
     top, underside : float32 array (rows, columns) [m]. In the upright frame; NaN
         beside the actor.
     """
@@ -142,8 +138,6 @@ def _look_up(x, y, own, up, shift, low, spacing, top, underside, top_out, unders
     up : float64 array (3,). Height over the ground for each metre along the axes
         of the upright frame.
     shift : float [m]. Height of that frame's origin.
-    low, spacing, top, underside. Of a `Footprint`.
-    top_out, underside_out : float32 array (rows, columns) [m]
     """
     rows, columns = top.shape
     for j in prange(len(y)):
@@ -235,15 +229,7 @@ def put_on(bed, top, underside, shadow):
 
 @cpu_kernel
 def _put_on(bed, own_top, own_underside, first_row, first_column, top_out, underside_out, here_out):
-    """Put an actor onto height fields, see `put_on`; `here_out` is the mask of its cells.
-
-    bed : float32 array (ny, nx) [m]
-    own_top, own_underside : float32 array (rows, columns) [m]. Of the actor; NaN
-        beside it.
-    first_row, first_column : int. Of the actor's cells on the map.
-    top_out, underside_out : float32 array (ny, nx) [m]
-    here_out : bool array (rows, columns)
-    """
+    """Put an actor's cells onto height fields, see `put_on`; `here_out` is their mask."""
     rows, columns = here_out.shape
     for j in prange(rows):
         for i in range(columns):

@@ -4,8 +4,6 @@ All that follows a moving thing asks here: pictures, labels, sensors, the rain t
 off and the water that its tyres throw.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -96,13 +94,7 @@ class Track:
         return self.pose(time) if self.visible[k] else None
 
     def poses(self, times):
-        """Return where the actor is at many times [s], and whether it is there.
-
-        times : float64 array (n,)
-        Returns rotation : float64 array (n, 3, 3)
-            position : float64 array (n, 3)
-            visible : bool array (n,)
-        """
+        """Return rotation (n, 3, 3), position (n, 3) and whether it is there, at times [s]."""
         times = np.asarray(times, np.float64)
         visible = self.visible[np.searchsorted(self.time, times, side="right").clip(1) - 1]
         at = times.clip(self.time[0], self.time[-1])
@@ -179,9 +171,6 @@ class Motion:
     """An actor's motion in the ground frame.
 
     Its poses take points of the actor frame, in metres, to the ground frame [m].
-
-    actor : rainsim.actors.actor.Actor
-    frame : rainsim.scene.types.GroundFrame
     """
 
     actor: object
@@ -225,10 +214,7 @@ class Motion:
         return (then - now) / interval
 
     def step(self, time, interval):
-        """Return the matrix (4, 4) that takes ground points [m] on the actor along for an interval.
-
-        The interval [s] begins at `time` [s].
-        """
+        """Return the matrix (4, 4) that takes ground points [m] along from `time` on [s]."""
         return _matrix(self.pose(time + interval)) @ np.linalg.inv(_matrix(self.pose(time)))
 
     def speeds(self):

@@ -4,8 +4,6 @@ A box has no wheels in it. Those of a car are put at fixed shares of its box, wh
 common hatchback and saloon within some centimetres; a description can name them exactly.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import ParameterError

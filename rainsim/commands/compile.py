@@ -1,7 +1,5 @@
 """Compiling before and beside a run, as the user sees it."""
 
-from __future__ import annotations
-
 import contextlib
 
 

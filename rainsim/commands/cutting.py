@@ -1,55 +1,13 @@
 """`rainsim import --lod`: a large capture cut into chunks, and the scene that it then is."""
 
-from __future__ import annotations
-
-import threading
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from functools import partial
+from pathlib import Path
 
 from rainsim.errors import InputError
 from rainsim.scene.formats.streamed import LOD_META
 
 STAGE = "cut"
-
-
-class CutChunks:
-    """The chunks of a cut that can be gone on with, on the record of its folder.
-
-    `resume` says whether whole chunks of an unfinished cut are kept.
-    """
-
-    def __init__(self, record, resume):
-        self._record, self._resumes, self._lock = record, resume, threading.Lock()
-        self._whole, self._number = {}, 0
-
-    def begin(self):
-        """Find what is kept of an unfinished cut, or remove the files of an earlier one."""
-        from rainsim.output_folder import JOURNAL
-
-        if self._resumes:
-            self._record.resume(())
-        self._record.begin()
-        entries = self._record.journal.entries()
-        self._number = max(entries, default=-1) + 1
-        whole = self._record.journal.finished(entries) if self._resumes else {}
-        self._whole = {PurePosixPath(next(iter(e["files"]))).parent: e for e in whole.values()}
-        self._record.add(JOURNAL, LOD_META)
-
-    def has(self, name):
-        """Return whether a chunk of an unfinished cut is there, whole."""
-        entry = self._whole.get(PurePosixPath(name).parent)
-        if entry is not None:
-            self._record.add(*entry["files"])
-        return entry is not None
-
-    def done(self, name):
-        """Note a chunk whose files are whole."""
-        with self._lock:  # two threads write chunks
-            folder = (self._record.folder / name).parent
-            names = sorted(p.relative_to(self._record.folder).as_posix() for p in folder.iterdir())
-            self._record.journal.add(self._number, names)
-            self._record.add(*names)
-            self._number += 1
 
 
 def require_cuttable(path):
@@ -70,14 +28,12 @@ def require_cuttable(path):
 
 
 def cut_to_scene(job, file, model):
-    """Cut a splat file into chunks in the folder of a `Job`, set its scene; return the record.
-
-    File and model are as `require_cuttable` returns them.
-    """
+    """Cut a splat file into chunks in the folder of a `Job`, set its scene; return the record."""
     from rainsim.commands.given import scene_of
     from rainsim.io.fingerprint import hash_of, hash_of_file
     from rainsim.lod.cut import cut
-    from rainsim.output_folder import Record, input_facts
+    from rainsim.output_folder import OURS, Record, input_facts
+    from rainsim.output_folder.names import names_in
     from rainsim.scene.cameras import cameras_to_data, load_cameras
     from rainsim.scene.folder import cameras_beside
     from rainsim.scene.formats import splat_blocks, trained_antialiased
@@ -97,10 +53,12 @@ def cut_to_scene(job, file, model):
         "cut": hash_of_file(file), "cameras": hash_of(cameras_to_data(cameras)),
         "options": {name: str(value) for name, value in given.items()},
     })  # fmt: skip
-    cut(
-        out, blocks, tell=lambda done, total: job.status.progress(STAGE, done, total),
-        antialiased=trained_antialiased(file), keep=CutChunks(record, job.resume),
-    )  # fmt: skip
+    if job.resume:  # one step: it is cut again in the folder of the same cut
+        record.resume(())
+    record.begin()
+    tell = partial(job.status.progress, STAGE)
+    cut(out, blocks, tell=tell, antialiased=trained_antialiased(file))
+    record.add(*filter(OURS.fullmatch, names_in(out)))
     beside, photos = given["cameras"], given["photos"]
     given |= {"cameras": cameras, "photos": None}
     scene = scene_of(str((out / LOD_META).resolve()), given)

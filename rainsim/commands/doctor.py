@@ -1,7 +1,5 @@
 """`rainsim doctor`: versions, threads, backends, memory, cache, and what is wrong."""
 
-from __future__ import annotations
-
 import click
 
 from rainsim.commands.options import echo, json_option

@@ -1,7 +1,5 @@
 """What rainsim runs on here, and what is wrong with it: `rainsim doctor`."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

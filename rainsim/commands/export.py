@@ -1,7 +1,5 @@
 """`rainsim export`: clear and rainy pictures with labels, in the layouts that loaders read."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,22 +1,14 @@
 """The commands that make frames: `run`, and its second and third stage, `simulate` and `render`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import click
 
+from rainsim.commands import given as inputs
 from rainsim.commands import options
 from rainsim.commands.compile import uses_of
 from rainsim.commands.forecast import Forecast, exr_of, format_of
-from rainsim.commands.given import (
-    first_frame,
-    masks_named,
-    optics_of,
-    require_backend,
-    view_on,
-)
 from rainsim.commands.job import Job
 from rainsim.errors import InputError, ParameterError, counted
 
@@ -62,7 +54,7 @@ def run(place, scene, **given):
             ground = ground_of(job.scene, config, job.cameras, job.backend, mask, *tell, water)
             return job.frames(ground, config)
 
-        job.write(frames, masks_named(given), job.scene.source)
+        job.write(frames, inputs.masks_named(given), job.scene.source)
 
 
 @click.command(short_help="Let it rain on a height map.")
@@ -334,14 +326,14 @@ class FilmJob(Job):
         if self.out is not None:
             shared = given.get("frame_range") is not None
             require_empty(self.out, self.overwrite or self.resume or shared)
-        require_backend(self.backend)
-        start = round(first_frame(given, self.config.fps))
+        inputs.require_backend(self.backend)
+        start = round(inputs.first_frame(given, self.config.fps))
         self.video = format_of(given, start)
         from rainsim.render.aov import parse_names
 
         names = parse_names(given["layers"])
         self.exr, self.layers = exr_of(given, self.config.fps, names, start)
-        self.optics = optics_of(given)
+        self.optics = inputs.optics_of(given)
         if self.optics is not None:
             self.optics.check(self.backend, self.layers, self.exr, self.config)
 
@@ -366,7 +358,7 @@ class FilmJob(Job):
         """Return the `FrameSequence` on a ground; `states` are those of the water, if simulated."""
         from rainsim.pipeline import FrameSequence
 
-        cameras = view_on(self.scene, ground, self.cameras, config, self.given, self.status)
+        cameras = inputs.view_on(self.scene, ground, self.cameras, config, self.given, self.status)
         self.tell_ground(ground)
         self.status.notes(self.memory_notes(cameras, ground.cells))
         return FrameSequence(

@@ -1,7 +1,5 @@
 """The command `rainsim flow`: the water solver alone on a map of heights."""
 
-from __future__ import annotations
-
 import math
 import signal
 import threading
@@ -242,13 +240,7 @@ def _about_nodata(absent, way):
 
 
 class Run:
-    """A solver on its way, with its gauges and its files.
-
-    solver : WaterSolver or GpuWaterSolver
-    given : dict. The command's options.
-    out : Path
-    steps : int. Taken so far.
-    """
+    """A solver on its way, with its gauges and its files."""
 
     def __init__(self, solver, given, out, status):
         from rainsim.water.gauges import Gauges
@@ -274,10 +266,7 @@ class Run:
             ])  # fmt: skip
 
     def to(self, duration, period, rain):
-        """Go on to `duration` [s] with readings every `period` [s]; return whether it is reached.
-
-        Ctrl-C ends the run after a step.
-        """
+        """Go on to `duration` [s] with readings every `period` [s]; return if it is reached."""
         if not self.gauges.rows:
             self.gauges.read()
         saved = time.perf_counter()

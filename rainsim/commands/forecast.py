@@ -1,7 +1,5 @@
 """What a long run will take, said when its first frames are drawn: time, and space on the disk."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from contextlib import suppress
@@ -17,10 +15,7 @@ MEASURED = 3  # finished frames at most whose files are looked at
 
 
 def format_of(given, start=0):
-    """Return the `VideoFormat` that the options ask for, None without --video.
-
-    `start` is the number of the first frame. RainsimError if the video could not be written.
-    """
+    """Return the `VideoFormat` that the options ask for, None without --video."""
     if not given["video"]:
         return None
     from rainsim.io.video import VideoFormat, require_video
@@ -56,10 +51,7 @@ def exr_of(given, fps, names, start=0):
 
 
 class Forecast:
-    """Shows the progress of a run as `Status` does, and says once what all of it will take.
-
-    `folder` is that of the frames.
-    """
+    """Shows the progress of a run as `Status` does, and says once what all of it will take."""
 
     def __init__(self, status, folder):
         self._status, self._folder = status, folder
@@ -106,23 +98,19 @@ class Forecast:
         if self._status.verbose or needed > free or left > LONG:
             self.say(text, bold=needed > free)
 
-    def _finished(self):
-        """Return entries of the journal of finished frames, by index."""
+    def _bytes_of_frames(self):
+        """Return what a frame and its layers take on average, by name."""
         from rainsim.io.journal import Journal
         from rainsim.output_folder import JOURNAL, OURS
 
         # One of its own: that of the record has read what stood there before the run.
         entries = Journal(self._folder, JOURNAL, OURS.fullmatch).entries()
-        return {index: entries[index] for index in sorted(entries)[-MEASURED:]}
-
-    def _bytes_of_frames(self):
-        """Return what a frame and its layers take on average, by name."""
-        entries = self._finished()
+        last = [entries[index] for index in sorted(entries)[-MEASURED:]]
         sizes = dict.fromkeys(("frames", "layers", "exr"), 0.0)
-        for entry in entries.values():
+        for entry in last:
             for name in entry["files"]:
                 size = (self._folder / name).stat().st_size
-                sizes[name.split("/")[0]] += size / len(entries)
+                sizes[name.split("/")[0]] += size / len(last)
         return {name: size for name, size in sizes.items() if size > 0}
 
 

@@ -1,7 +1,5 @@
 """Settings, scene and cameras from the options of a command."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -399,10 +397,7 @@ def placed_camera(given, up, width=None, height=None):
 
 
 def named_camera(scene, name):
-    """Return the camera of a scene with a name, its first if `name` is None.
-
-    A scene without cameras has those that are offered.
-    """
+    """Return the camera of a scene, or the offered one, with a name; its first if that is None."""
     from rainsim.surface.offered_views import with_offered_cameras
 
     scene = with_offered_cameras(scene)

@@ -1,7 +1,5 @@
 """The command `rainsim heightmap`: makes a height map and prints figures on it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """What a command works on, made once: settings, scene, cameras and the output folder."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from dataclasses import replace
 

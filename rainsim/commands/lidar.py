@@ -1,7 +1,5 @@
 """`rainsim lidar`: turns of a lidar in the rain that the cameras see."""
 
-from __future__ import annotations
-
 import click
 
 from rainsim.commands import options

@@ -1,7 +1,5 @@
 """Option groups that commands share, and the types of values that have several parts."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -7,8 +7,6 @@ process of its own: `... record --one USE` prints what it calls as lines of JSON
 which begin with cuda, have a list of their own and are run if they are named, or with `--cuda`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -153,11 +151,7 @@ def joined(old, new):
 
 
 def merged(old, found, use):
-    """Return the entries of a list after a use was recorded again, by name.
-
-    An entry that no use calls any more goes; the time of a kernel whose arguments have changed is
-    taken over until it is measured.
-    """
+    """Return the entries of a list after a use was recorded again, by name; unused ones go."""
     times = {entry.kernel: entry.seconds for entry in old.values()}
     result = {}
     for name, entry in old.items():

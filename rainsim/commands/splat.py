@@ -1,7 +1,5 @@
 """`rainsim splat`: the dry capture from any camera, as a picture or as arrays."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -182,10 +180,7 @@ def _memory(capture, camera, out, backend):
 
 
 def draw(capture, camera, depth="expected", backend="cpu", render=None, **options):
-    """Return the `Layers` of a camera, with the depth that `depth` names, and the time [ms].
-
-    `render` is the RenderConfig whose `detail` and `memory` hold for a capture in chunks.
-    """
+    """Return the `Layers` of a camera, with the depth that `depth` names, and the time [ms]."""
     import time
 
     from rainsim.actors.actor import require_no_actors, scene_at

@@ -1,7 +1,5 @@
 """What the user sees while a command runs: lines and bars on stderr."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

@@ -1,7 +1,5 @@
 """The commands around the frames: import, scenes, presets, warmup."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -50,7 +48,10 @@ def import_(path, info, lod, **given):
         rainsim import --info biker.spz
     """
     if info:
-        _tell_info(path, given["as_json"])
+        from rainsim.scene.info import as_text, describe
+
+        found = describe(path)
+        options.echo(found, given["as_json"], as_text(found))
         return
     from rainsim.actors.actor_files import ACTORS_ARRAYS
     from rainsim.commands.cutting import cut_to_scene, require_cuttable
@@ -130,13 +131,6 @@ def _calibration(job):
             job.status.say(f"  no height map, so what the colours stand for is not known: {error}")
             return None
         return calibration_of(job.scene, terrain)
-
-
-def _tell_info(path, as_json):
-    from rainsim.scene.info import as_text, describe
-
-    found = describe(path)
-    options.echo(found, as_json, as_text(found))
 
 
 @click.command(short_help="List the scenes known by name.")

@@ -1,7 +1,5 @@
 """`rainsim view`: a scene in the rain in the browser."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`rainsim world`: camera, ground, water, rain and capture as USD, for other renderers."""
 
-from __future__ import annotations
-
 import click
 
 from rainsim.commands import options
@@ -40,10 +38,11 @@ def world(scene, parts, **given):
     """
     from rainsim.compiling.uses import SIMULATE
     from rainsim.output_folder import Record, settings_content, settings_facts
+    from rainsim.scene.usd_cameras import require_usd
 
     parts = _parts(parts)
     job = Job(given)
-    _require_usd()
+    require_usd("rainsim world")
     first = first_frame(given, job.config.fps)
     with job.compiling([SIMULATE]):
         job.load(scene)
@@ -84,9 +83,3 @@ def _parts(text):
                 f"--parts has {name!r}; each must be one of {', '.join(PARTS)}; correct the name"
             )
     return [name for name in PARTS if name in wanted]
-
-
-def _require_usd():
-    from rainsim.scene.usd_cameras import require_usd
-
-    require_usd("rainsim world")

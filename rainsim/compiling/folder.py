@@ -45,12 +45,7 @@ def fault_of(folder):
 
 
 def _cache_folder():
-    """Return a folder for compiled kernels that the user alone can write to, and the refused ones.
-
-    Returns folder : Path
-        refused : tuple of str. Sentences on the folders that were not taken
-            though they could be written.
-    """
+    """Return a folder that the user alone can write to, and sentences on those refused."""
     wanted = [os.environ.get("NUMBA_CACHE_DIR")]
     home = os.path.expanduser("~/.cache")  # stays as it is for an account without a home
     wanted.append(os.environ.get("XDG_CACHE_HOME") or (None if home.startswith("~") else home))

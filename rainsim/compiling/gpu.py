@@ -22,11 +22,7 @@ def compiles_for():
 
 
 def capability():
-    """Return the compute capability of the first GPU as text; None without one or numba-cuda.
-
-    The driver is asked directly: numba takes seconds to import, and a context of the device takes
-    memory in each process.
-    """
+    """Return the first GPU's compute capability as text, asked of the driver; None without."""
     if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1" or find_spec("numba_cuda") is None:
         return None
     found = ctypes.c_int(), ctypes.c_int(), ctypes.c_int()

@@ -34,10 +34,6 @@ class KeptKernel:
 
     The name is found when the kernel is first called or asked for, because all functions that it
     uses must exist by then.
-
-    function : function. The kernel's Python function.
-    place : Path. Where its module's kernels are kept.
-    options : str. The kernel's compiler options.
     """
 
     _kept = KEPT_VERSIONS

@@ -101,8 +101,6 @@ class _Job:
 class Pool:
     """Compiles recorded kernels in other processes until `close`.
 
-    entries : list of Recorded. What is to be compiled.
-    count : int. Number of processes.
     progress : callable, optional. progress(share, done, total, count): the share
         of the work from 0 to 1, kernels done and in all, processes; called from
         another thread.
@@ -110,7 +108,6 @@ class Pool:
         of this one.
     compiled : int. Kernels compiled so far, each list of arguments counted.
     seconds : float. Of one core that they took.
-    stale : list of str. Entries that no longer fit, and why.
     """
 
     def __init__(self, entries, count, progress=None, environment=None):

@@ -39,9 +39,7 @@ def versions():
 class Pack:
     """Shipped kernels, from which a file is read if its hash is that of the manifest.
 
-    folder : Path. With the manifest, and a folder for each module.
     identity : str. Hash of the manifest, and by it of all files.
-    versions : dict of str. Versions that the kernels were made for, by name.
     """
 
     def __init__(self, folder):
@@ -85,11 +83,7 @@ class Pack:
 
 
 def find(folders):
-    """Return the `Pack` of the first of some site-packages that has one, and why it is not loaded.
-
-    Returns pack : Pack or None. None if there is none that may be loaded.
-        fault : str or None. Why one that is there is not loaded.
-    """
+    """Return the first `Pack` that may be loaded, or None; and why one that is there is not."""
     if os.environ.get(VARIABLE) == OFF:
         return None, None
     for folder in folders:

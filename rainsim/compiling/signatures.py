@@ -42,10 +42,7 @@ def _listed(kinds):
 
 
 def from_text(text):
-    """Return the numba type that a text names.
-
-    Raises UnknownType if there is none, as when a bundle was renamed.
-    """
+    """Return the numba type that a text names, or raise UnknownType."""
     text = text.strip()
     if text.endswith((" const", " unaligned")):
         array, _, mark = text.rpartition(" ")

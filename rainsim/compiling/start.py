@@ -53,10 +53,7 @@ def end(pool):
 
 
 def compile_here(uses, progress):
-    """Compile in this process the kernels that some uses lack, one after another.
-
-    progress(share, done, total) is called as by a `Pool`.
-    """
+    """Compile in this process the kernels that some uses lack, one after another."""
     from rainsim.compiling.worker import compile_kernel
 
     entries = missing(_for_here(uses)[0])
@@ -70,10 +67,7 @@ def compile_here(uses, progress):
 
 
 def missing(entries):
-    """Return the recorded kernels that the cache on disk lacks, without outdated entries.
-
-    Those that the package rainsim-kernels has count as being on disk.
-    """
+    """Return the recorded kernels that neither the cache on disk nor rainsim-kernels has."""
     modules = {entry.kernel.partition(":")[0] for entry in entries}
     places = [CACHE_FOLDER] if shipped.PACK is None else [CACHE_FOLDER, shipped.PACK.folder]
     known = {name for name in modules if any((place / name).is_dir() for place in places)}
@@ -105,10 +99,7 @@ def _lacks(entry, held=None):
 
 
 def _for_here(uses):
-    """Return the recorded kernels of some uses, and the capability of the GPU if it is in them.
-
-    Without a GPU, as in numba's simulator, its kernels are left out.
-    """
+    """Return the recorded kernels of some uses that can run here, and the GPU's capability."""
     entries = [] if _disabled() else needed(uses)
     capability = gpu.capability() if any(map(on_gpu, entries)) else None
     return [entry for entry in entries if capability or not on_gpu(entry)], capability

@@ -44,13 +44,7 @@ def watched_cuda(found):
 
 @contextlib.contextmanager
 def watched(found):
-    """Record the first call of each kernel for each list of argument types.
-
-    found : callable. found(kernel, arguments, seconds): the kernel's name, the
-        types as text, and the seconds of one core that it took to compile it,
-        None if its machine code was loaded from disk.
-    Raises UnknownType if an argument has a type that has no text.
-    """
+    """Call found(kernel, arguments, seconds) at each kernel's first call for a list of types."""
     names = {id(kernel): name for name, kernel in KERNELS.items()}
     original = Dispatcher._compile_for_args
 

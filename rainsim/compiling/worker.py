@@ -14,13 +14,7 @@ import time
 
 
 def compile_kernel(kernel, arguments):
-    """Compile a kernel for each of some lists of arguments that the cache does not hold.
-
-    Returns compiled : int
-        seconds : float. Of this thread, loading the kernel's module not counted.
-        stale : list of str. What could not be compiled and why: the list is older
-            than the kernel.
-    """
+    """Compile a kernel for lists of arguments; return count, seconds, and why others are stale."""
     from rainsim.compiling.signatures import from_text, split
     from rainsim.jit import KERNELS, held
 

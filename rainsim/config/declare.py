@@ -4,8 +4,6 @@
 controls and the tables of the reference from these declarations.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Preset files: where they lie, and how their keys, in the units of people, are read."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import tomllib

@@ -1,7 +1,5 @@
 """Settings as the text of a preset file, in human units, such that they are read back exactly."""
 
-from __future__ import annotations
-
 import json
 import math
 

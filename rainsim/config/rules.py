@@ -4,8 +4,6 @@ A rule is called with the setting's name, its value and the unit, and raises an 
 value, rule and remedy.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 Importing this file takes no numpy: the command line's help is made from it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 from rainsim.config.declare import UNITS, Key, Setting
@@ -101,10 +99,7 @@ def default_of(key):
 
 
 def table():
-    """Return a row for each key: key, unit, default, choices, whether it may change, meaning.
-
-    Rows are in the order of `HUMAN_KEYS`.
-    """
+    """Return rows of key, unit, default, choices, whether it may change, and meaning."""
     return [
         (key.name, key.unit, default_of(key.name), one.choices, one.changing, key.meaning)
         for key, one in _WITH_KEYS

@@ -4,8 +4,6 @@ A keyframe names a time and the settings that hold from then on; between two key
 is interpolated linearly. A configuration without keyframes is steady.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from itertools import pairwise

@@ -9,8 +9,6 @@ work is shared out. `rainsim.cuda.render.renderer` puts the kernels of a frame i
 on the device until the picture is finished.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 

@@ -4,8 +4,6 @@ All work is queued on the default stream, in the order of the calls; only a fini
 copied to the host beside it, see `Download`.
 """
 
-from __future__ import annotations
-
 import contextlib
 from functools import partial
 
@@ -132,11 +130,7 @@ class Event:
 
 
 class Counted:
-    """Small device arrays that the host reads, as soon as what was queued before is done.
-
-    kind : dtype
-    count : int
-    """
+    """Small device arrays that the host reads, as soon as what was queued before is done."""
 
     def __init__(self, count, kind):
         self._seen = pinned(count, kind)
@@ -200,7 +194,6 @@ class Staging:
     def send(self, array, values, window=None):
         """Queue the copy of host values to a device array; they may be changed afterwards.
 
-        array : device array. Contiguous, unless a window is sent.
         values : ndarray. Of the shape of the array or with fewer rows, the first
             ones; or of that of the window.
         window : tuple of slice, optional. Rows and columns of the array, of which
@@ -227,8 +220,6 @@ class Staging:
 class SentRows:
     """Rows of the host on the device, in an array that grows where it must.
 
-    shape : tuple of int. Of a row.
-    kind : dtype
     array : device array (room, *shape)
     """
 

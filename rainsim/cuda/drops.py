@@ -7,8 +7,6 @@ that meet something in it. The list's order is that of chance; sums over the lis
 numbers, so that its order does not matter.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -56,8 +54,6 @@ class ImpactLists(NamedTuple):
 class Columns(NamedTuple):
     """Columns of cubes over a map, class by class.
 
-    counts : int64 device array (CLASSES + 1,). How many the classes before each
-        have, and all together.
     first, last : int64 device array (CLASSES, 3). First and last cube of each
         class along x, y and z.
     """
@@ -76,7 +72,6 @@ def seek(
     start, stop : float [s]
     slot : int. Which list of impacts will be filled from these drops; it is
         emptied.
-    field : DropField
     surfaces : HeightFields. Both of device arrays.
     found_out : int32 device array (slots,)
     sought_out : int32 device array (1,). Raised by the number of drops, also of
@@ -165,8 +160,6 @@ def fill_impacts(
 ):  # fmt: skip
     """List those of the drops sought that end in an interval.
 
-    columns, start, stop, slot, sought, tasks, words, field, surfaces. As `seek`
-        has and left them.
     found_out, values_out, labels_out, ids_out. See `ImpactLists`. The number
         found is beyond all room if there was none for a drop sought.
     """
@@ -281,12 +274,7 @@ def _column_of(task, columns):
 
 
 class Listed(FrameUniforms):
-    """The interval that is listed, as kernels take it; each `send` blanks "sought".
-
-    field : RainField. Of the weather.
-    columns : Columns
-    field : DropField. Of device arrays both.
-    """
+    """The interval that is listed, as kernels take it; each `send` blanks "sought"."""
 
     def __init__(self, field):
         i8, i4 = np.int64, np.int32
@@ -311,10 +299,6 @@ class Listed(FrameUniforms):
 class Impacts:
     """The drops that end on a map, listed on a CUDA device; twin of `drops.impacts`.
 
-    field : RainField. Of the weather; `list` takes those of other times.
-    room : int. Of a list; it grows where it does not suffice.
-    slots : int. Lists that are kept.
-    lists : ImpactLists. In no order.
     surfaces : HeightFields. Of device arrays.
     """
 

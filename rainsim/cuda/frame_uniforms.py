@@ -1,7 +1,5 @@
 """Small arrays that change from frame to frame, sent to the device in one copy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.driver import Staging, aligned
@@ -9,10 +7,7 @@ from rainsim.cuda.jit import SIMULATED, cuda
 
 
 class FrameUniforms:
-    """Named arrays, on the host in `host` and on the device in `device`.
-
-    arrays : dict of str to (shape, dtype)
-    """
+    """Named arrays of given (shape, dtype), in `host` and on the device in `device`."""
 
     def __init__(self, arrays):
         self.host, self.device = {}, {}

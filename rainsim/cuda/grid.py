@@ -1,7 +1,5 @@
 """The water solver on a CUDA device: `rainsim.grid.WaterSolver` with fields that lie there."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

@@ -5,8 +5,6 @@ In numba's simulator the intrinsics are plain Python. The simulator has no warp 
 kernels that use them have a second version without.
 """
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

@@ -5,8 +5,6 @@ numba looks up the types of all arguments and packs them again at each launch: 6
 arguments finds the machine code.
 """
 
-from __future__ import annotations
-
 import struct
 from array import array
 from functools import partial
@@ -25,11 +23,7 @@ _SCALARS = {
 
 
 class LaunchedKernel:
-    """A kernel as numba's dispatcher is called: `kernel[grid, block](*arguments)`.
-
-    dispatcher : numba.cuda.dispatcher.CUDADispatcher. It compiles, and launches
-        the first time and whatever has arguments on the host.
-    """
+    """A kernel as numba's dispatcher is called: `kernel[grid, block](*arguments)`."""
 
     def __init__(self, dispatcher):
         self.dispatcher, self._handles = dispatcher, {}

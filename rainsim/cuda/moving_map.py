@@ -1,7 +1,5 @@
 """Maps on a device of which the windows are sent that moving things change."""
 
-from __future__ import annotations
-
 
 class MovingMap:
     """A map on a device that follows one of the host, over which things move.
@@ -18,9 +16,6 @@ class MovingMap:
     def send(self, values, windows, still=None):
         """Queue the sending of what differs from the map that is there.
 
-        values : array (ny, nx, ...)
-        windows : list of tuple of slice. Rows and columns in which they differ
-            from the map without what moves.
         still : object. What stands for that map: if it is another one than
             before, all is sent.
         """

@@ -6,8 +6,6 @@ tile and depth in one radix sort (`project`), blended by warps (`blend`). The ho
 entries there are, makes room where they lacked it, and lists them again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -71,13 +69,11 @@ class Workspace:
 class Rasterizer:
     """Draws prepared splats on the GPU; keeps its working memory from one picture to the next.
 
-    prepared : PreparedSplats
     plain : bool. Take the kernels without warp instructions: slow, for tests of
         the others.
     workspace : Workspace, optional. Shared with others.
     chosen : int64 array or None. Of a `DeviceRoom` the chunks that are drawn, see
         `choose`.
-    entries : int. Of the last picture.
     """
 
     def __init__(self, prepared, plain=False, workspace=None):

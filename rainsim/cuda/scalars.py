@@ -4,8 +4,6 @@ The compiler of the CPU kernels takes `np.sqrt(x)` of a number, that of CUDA doe
 stand-ins one formula serves both, in the type of its argument: no float64 sneaks in.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

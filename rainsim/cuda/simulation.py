@@ -3,8 +3,6 @@
 What rings on the tile, and what drips from objects, the host decides as on the CPU.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,17 +25,10 @@ from rainsim.water.keyframed import moved_water
 class DeviceState:
     """Water at one frame's time, on the device.
 
-    index : int. Of the frame that shows it.
-    time : float [s]
     depth : float32 device array (ny, nx) [m]. Depth above the bed, film included;
         overwritten by the simulation's next step, as `moments` is.
     moments : device array of shape (n, n + n // 2, 6). Of the ripples' slopes, see
         `reflection.slope_moments`.
-    tile_size : float [m]. Side of the periodic tile of ripples.
-    ledger : dict. Volumes in m3, see `rainsim.ledger`.
-    drips, drip_id, top_water : ndarray. As `SimState` has them.
-    notes : tuple of str
-    simulation : Simulation
     step : int. Of the simulation.
     """
 
@@ -72,8 +63,6 @@ class Simulation:
     """Rain, water and ripples of a configuration on a terrain, frame by frame.
 
     config : Config. Water of scheme "auto" is computed by "lean" here.
-    water : GpuWaterSolver
-    ripples : Ripples
     drip_list : DripList or None. Drips of the last state; None if nothing drips.
     """
 

@@ -6,8 +6,6 @@ CUDA, the functions of `particles.line_raster` and `particles.crown` by which th
 and add to a picture that all threads draw in.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.jit import FULL, SIMULATED, cuda

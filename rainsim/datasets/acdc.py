@@ -6,8 +6,6 @@ clear partner of each is rgb_anon/rain/train_ref/SEQUENCE/..._rgb_ref_anon.png. 
 scene in one rain; its name ends in the severity. Views held out are in val and val_ref.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.datasets.data_files import PNG, PNG16, DataFile

@@ -1,7 +1,5 @@
 """What a layout cannot hold, beside it in ours: `rainsim/` in the folder of each rain."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.datasets.data_files import (

@@ -1,7 +1,5 @@
 """The card of a data set: what was rained on, how hard, and by which numbers."""
 
-from __future__ import annotations
-
 from rainsim import __version__
 from rainsim.datasets.data_files import condition
 from rainsim.datasets.sample import PARTNERS

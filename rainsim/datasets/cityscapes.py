@@ -6,8 +6,6 @@ _gtFine_instanceIds.png (16 bits: id x 1000 + number for what has instances, els
 _gtFine_labelTrainIds.png and _gtFine_color.png. There are no polygons. Views held out are in val.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.datasets import kinds

@@ -4,8 +4,6 @@ All pulses are sent at the time of the picture: KITTI's clouds are corrected for
 turn, and so boxes, picture and points belong together.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -26,9 +24,6 @@ NODE = 1 << 16  # the upper half of a label is the number of the instance
 class Clouds:
     """The clouds of one scene's views.
 
-    places : sequence of array (3,) [m]. Where the lidar will be, in the ground
-        frame.
-    sensor : str. A key of `lidar_model.SENSORS`.
     user_labels : UserLabels, optional. Points on what stands have its ids, where
         it has any.
     """
@@ -43,9 +38,6 @@ class Clouds:
     def cloud(self, view, field, state, damp, actors):
         """Return the points (n, 4), float32, and their labels (n,), uint32, of a view.
 
-        field : RainField or None
-        state : SimState
-        damp : float. See `LidarScanner.scan`.
         actors : sequence of dict. See
             `rainsim.render.actor_labels.facts_of_actors`.
         Returns points : float32 array (n, 4). x ahead, y left, z up from the
@@ -58,10 +50,7 @@ class Clouds:
         return self.seen_from(camera.position, turn, view.index, field, state, damp, actors)
 
     def seen_from(self, position, turn, number, field, state, damp, actors):
-        """Return what `cloud` does, for a lidar at a position [m] with its axes' `turn` (3, 3).
-
-        `number` makes the noise of its ranges.
-        """
+        """Return what `cloud` does, for a lidar at a position [m] with its axes' `turn` (3, 3)."""
         pose = Pose(position, turn, np.zeros(3))
         rate = 0 if field is None else field.spectrum.rate
         rng = np.random.default_rng([self._seed, number, round(rate * 3.6e12)])

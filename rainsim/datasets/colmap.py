@@ -7,8 +7,6 @@ points which images see, by the depth of their pixels. Rigs have rigs.bin and fr
 reads them from 3.12 on (reconstruction_io_binary.cc, commit 036535c).
 """
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np
@@ -63,13 +61,7 @@ def _depth_in(folder, plan, view):
 
 
 def observations(plan, view, depth):
-    """Return the points that a view sees: their places in the plan, and their image points [px].
-
-    depth : float32 array (height, width) [m]. A point counts as seen if it lies
-        at the depth of its pixel.
-    Returns number : int64 array (k,)
-        place : float64 array (k, 2) [px]
-    """
+    """Return numbers (k,) and places [px] of the plan's points at their pixel's depth."""
     camera = view.camera
     x, y, z = camera_points(camera, plan.points.astype(np.float64)).T
     ahead = z > NEAREST

@@ -1,7 +1,5 @@
 """Files of a data set: each is written whole, by the kind that a layout names."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

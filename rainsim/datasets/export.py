@@ -1,7 +1,5 @@
 """Writes a data set: each picture with its labels is a part that an interrupted export keeps."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shutil

@@ -4,8 +4,6 @@ Cityscapes: ids of cityscapesScripts' labels.py. KITTI: types of its object benc
 SemanticKITTI: labels of semantic-kitti.yaml of its API, standing and moving.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +12,7 @@ from rainsim.terrain.table import DRAIN, GRASS, HARD, SOIL
 
 
 class Kind(NamedTuple):
-    """What others call an actor of a kind.
-
-    cityscapes : int
-    kitti : str
-    semantic, moving : int. Of SemanticKITTI.
-    """
+    """What Cityscapes, KITTI and SemanticKITTI (standing, moving) call an actor of a kind."""
 
     cityscapes: int
     kitti: str

@@ -7,8 +7,6 @@ P3; poses are those of the odometry benchmark: world_from_camera relative to the
 line. The folders of the rains are named as rain-rendering's (Halder et al. 2019).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -98,7 +96,6 @@ def object_labels(actors, camera, matrix=None):
 
     actors : sequence of dict. See `rainsim.render.actor_labels.facts_of_actors`;
         `hidden`, the share of its pixels that other things hide, may be missing.
-    camera : Camera. In the ground frame.
     matrix : float64 array (4, 4) [m], optional. From the ground frame to the
         camera that places are given by, by default this one.
     """
@@ -142,10 +139,8 @@ def occlusion(hidden):
 def truncation(corners, shown, camera):
     """Return the share of a box's picture that lies beyond the edges; 1 if it is beside the camera.
 
-    corners : array (8, 3) [m]. In the ground frame.
     shown : sequence of float [px]. The part that the picture shows: left, top,
         right and bottom.
-    camera : Camera. In the ground frame.
     """
     x, y, z = camera_points(camera, corners).T
     if z.min() < LEAST_DEPTH:

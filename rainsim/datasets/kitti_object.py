@@ -7,8 +7,6 @@ classes of the points. ImageSets names the pictures to train on and to validate,
 MMDetection3D read it.
 """
 
-from __future__ import annotations
-
 from rainsim.datasets import beside, kitti
 from rainsim.datasets.data_files import BYTES, FOLDER, PNG, TEXT, DataFile, condition
 from rainsim.datasets.kinds import kind_of

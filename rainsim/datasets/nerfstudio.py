@@ -6,8 +6,6 @@ poses' unit, which is why poses are in metres; masks are 0 where a pixel is to b
 frames or none; the splits name files, all three or none; the camera model is one for all frames.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.datasets.data_files import BYTES, FOLDER, JSON, PNG, PNG16, DataFile, condition

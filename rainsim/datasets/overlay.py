@@ -5,8 +5,6 @@ the same view, as many, as long, as bright, only at random places. `partners` th
 lost: whether two views of one moment show the same rain.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

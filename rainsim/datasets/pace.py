@@ -1,7 +1,5 @@
 """How fast a drive is: what its views and their rate make of it, or what is asked for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points of a scene with colours, which trainers of splats start from, and their files."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import SH_0
@@ -11,10 +9,7 @@ LEAST_OPACITY = 0.3  # of a splat that stands for a surface
 
 
 def points_of(scene, most=MOST_POINTS):
-    """Return places [m] (n, 3), float32, in the ground frame and colours (n, 3), uint8.
-
-    They are the centres of `most` solid splats, drawn evenly from the scene's by a fixed seed.
-    """
+    """Return centres [m] (n, 3) of `most` solid splats, drawn evenly, and their colours, uint8."""
     solid = np.flatnonzero(scene.splats.opacity >= LEAST_OPACITY)
     if len(solid) > most:
         solid = np.sort(np.random.Generator(np.random.PCG64(0)).choice(solid, most, replace=False))

@@ -1,7 +1,5 @@
 """Reads the data sets that we write in nerfstudio's layout, with numpy and a PNG reader alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -8,8 +8,6 @@ bounding_box_3d_0000.npy of what moves;
 camera_params_0000.json with matrices for row vectors, flattened, camera axes as OpenGL's.
 """
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np
@@ -105,10 +103,7 @@ def boxes_of(facts):
 
 
 def boxes_in_space(facts):
-    """Return the boxes of actors in the ground frame, as row vectors' transforms have them.
-
-    Extents are in the box's own frame, x ahead and z up [m]; `transform` takes them to the world.
-    """
+    """Return actors' boxes: extents in their frames [m], `transform` to the world (row vectors)."""
     rows, kinds = [], actor_kinds(facts)
     for actor in facts.get("actors", ()):
         if actor["pixels"]:

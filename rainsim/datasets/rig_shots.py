@@ -1,7 +1,5 @@
 """Draws the samples of a rig: each sensor at its own times, in one rain over the same water."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -31,10 +29,7 @@ class Clock:
     stride: int
 
     def states(self, terrain, config):
-        """Yield the water's states at the sensor's times, numbered from 0 on.
-
-        All sensors of a rig have the same step, so that they see the very same water.
-        """
+        """Yield the water's states at the sensor's times; all sensors of a rig have one step."""
         steps = simulate(terrain, config.replace(fps=float(1 / self.step)))
         for state in steps:
             number, off = divmod(state.index - self.start, self.stride)

@@ -1,7 +1,5 @@
 """A sample: what one camera sees in one rain, with all its labels; and their usual encodings."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 

@@ -7,8 +7,6 @@ lidar's axes to the camera's, and times.txt. The poses are in poses/00.txt, too,
 odometry benchmark has them and pykitti 0.3.1 looks for them.
 """
 
-from __future__ import annotations
-
 from rainsim.datasets.data_files import PNG, TEXT, DataFile, condition
 from rainsim.datasets.kitti import CAMERAS, calibration, channel_of, is_first, poses
 from rainsim.datasets.kitti_object import cloud_files as object_cloud_files

@@ -1,7 +1,5 @@
 """Draws the samples of a data set: one rain after another, camera by camera."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

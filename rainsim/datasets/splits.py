@@ -1,7 +1,5 @@
 """Which views of a data set are to train on, to validate and to test: no view is in two lists."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from rainsim.errors import ParameterError

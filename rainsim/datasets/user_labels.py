@@ -7,8 +7,6 @@ that no mask shows have the id of the nearest splat that has one. An actor that 
 Of a capture in chunks the splats of the finest level have labels, numbered as `FinestNumbers` says.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -40,20 +38,13 @@ class UserLabels:
         self._rasterizer = _numbered_rasterizer(scene, render)
 
     def picture(self, camera, actor=None):
-        """Return the labels that a camera (capture frame) sees, uint16; OTHER_CLASS for none.
-
-        `actor`, ndarray of shape (height, width): the layer `actor_id`. Its pixels have the labels
-        of their actors.
-        """
+        """Return the labels that a camera sees, uint16; pixels of actors have theirs."""
         hit = self._rasterizer.draw(camera, self._near, hit=True).hit
         labels = np.where(hit >= 0, self.ids[np.maximum(hit, 0)], np.uint16(OTHER_CLASS))
         return labels if actor is None else np.where(actor > 0, self._of_actors[actor], labels)
 
     def of_points(self, places):
-        """Return the ids of points (n, 3) [m] in the ground frame, by the nearest splat.
-
-        OTHER_CLASS for none, and of a scene in chunks for all.
-        """
+        """Return the ids of points (n, 3) [m] by the nearest splat; OTHER_CLASS for none."""
         if self._scene.pages is not None:
             return np.full(len(places), OTHER_CLASS, np.uint16)
         frame = self._scene.ground_frame

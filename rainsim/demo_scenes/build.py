@@ -4,8 +4,6 @@ Everything here is in metres with z up. A `Cloud` is a set of splats in the maki
 clouds together and `to_splats` takes the finished one to a capture frame.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, replace
 
@@ -93,15 +91,7 @@ def axes_from(first, third):
 def discs(
     position, normal, colour, size, *, along=(1, 0, 0), thickness=THIN, opacity=0.97, sheen=0
 ):
-    """Return flat splats on a surface.
-
-    position, normal : array (n, 3)
-    colour : array_like, broadcast to (n, 3)
-    size : array_like, scalar, (n,) or (n, 2) [m]. Deviation in the plane; of two
-        columns the first is along `along`.
-    along : array_like, broadcast to (n, 3)
-    thickness, opacity, sheen : float or array (n,)
-    """
+    """Return flat splats, whose deviations `size` [m] lie in the plane, the first `along`."""
     position = np.ascontiguousarray(position, np.float32)
     n = len(position)
     size = np.asarray(size, np.float32)
@@ -121,10 +111,7 @@ def discs(
 def strands(
     position, direction, colour, length, width, *, normal=(0, 0, 1), flat=1.0, opacity=0.95
 ):
-    """Return elongated splats: blades, spokes, cables.
-
-    `length` and `width` are deviations [m] along and across; `flat` is thickness over width.
-    """
+    """Return elongated splats of deviations `length`, `width` [m]; `flat` is thickness."""
     n = len(position)
     size = np.empty((n, 2), np.float32)
     size[:, 0], size[:, 1] = length, width
@@ -161,10 +148,7 @@ def _resample(points, piece):
 def tube(points, radius, colour, *, piece=0.025, around=8, sheen=0.0, opacity=0.97, squash=1.0):
     """Return a round tube along a polyline, its surface covered with splats.
 
-    points : array_like of shape (m, 3) [m]
-    radius : float or array_like of shape (m,) [m]
     piece : float [m]. Length of one splat's cell.
-    around : int. Splats round the tube.
     squash : float. Height over width of the cross-section (its height is square
         to the sideways direction).
     """
@@ -195,10 +179,7 @@ def tube(points, radius, colour, *, piece=0.025, around=8, sheen=0.0, opacity=0.
 
 
 def cells(length, spacing, edge=0.45):
-    """Cut `length` [m] into cells, narrower at both ends: centres and widths, (n,) each.
-
-    The narrow end cells keep the outline of a face crisp.
-    """
+    """Cut `length` [m] into cells, narrower at both ends: centres and widths, (n,) each."""
     inner = max(1, round((length - 2 * edge * spacing) / spacing))
     inner_width = (length - 2 * edge * spacing) / inner
     if inner_width <= 0:
@@ -214,8 +195,6 @@ def box(centre, half, colour, *, spacing=0.03, along=0, stretch=2.0, axes=None, 
         along each axis.
     spacing : float [m]. Cell size across the grain; along axis number `along` it
         is `stretch` times larger.
-    axes : array_like of shape (3, 3), optional. Rows are the box's own axes; the
-        identity if left out.
     """
     half = np.asarray(half, np.float32)
     axes = np.eye(3, dtype=np.float32) if axes is None else np.asarray(axes, np.float32)
@@ -278,10 +257,7 @@ def lit(cloud, light):
 
 
 def polished(cloud, gloss):
-    """Return the cloud with a soft reflection of the bright sky on splats that face upwards.
-
-    `gloss` 0 to 1 is the share of white at the brightest spot.
-    """
+    """Return the cloud with a soft sky reflection on splats that face upwards."""
     up = cloud.normal[:, 2:]
     glint = np.float32(gloss) * np.clip((up - 0.35) / 0.65, 0, 1) ** 2
     return replace(cloud, colour=cloud.colour + glint * (np.float32(0.93) - cloud.colour))

@@ -5,8 +5,6 @@ a street of a given length cars also cross at the side streets, and wait there.
 Each actor has its splats in a frame of its own: x ahead, z up, the tyres on z = 0.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 
@@ -161,10 +159,7 @@ def _track(frame, first, speed, here, there):
 
 
 def _way(frame, time, x, y, heading, height):
-    """Return a track through places [m] of the ground frame; `heading` [rad] for each or for all.
-
-    The track is that of a car whose tyres stand at a height [m].
-    """
+    """Return a car's track through places [m] of the ground frame, its tyres at a height [m]."""
     place = np.column_stack([x, y, np.full(len(time), height)])
     heading = np.broadcast_to(heading, len(time))
     turns = [frame.rotation.T @ turn_about((0, 0, 1), angle) for angle in heading]

@@ -4,8 +4,6 @@ The frames that are missing are cut into as many ranges as there are workers. Ea
 task, and runs what a process with --frame-range runs.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import os
@@ -137,10 +135,7 @@ def _gpu(number, backend):
 
 
 def facts(token, text):
-    """Return what must be equal on all machines, the processor, and the host.
-
-    The file `token` holds `text` and lies in the output folder.
-    """
+    """Return what must be equal on all machines, the processor, and the host."""
     from rainsim.jit import processor
 
     seen = token.is_file() and token.read_text(encoding="utf-8") == text

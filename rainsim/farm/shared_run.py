@@ -6,8 +6,6 @@ finds all frames finished writes what needs the whole sequence, with the same by
 go. What an owner that has ended left undone is drawn by a process with --resume.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 from contextlib import ExitStack, contextmanager, suppress

@@ -6,8 +6,6 @@ and go in another order, as the pages of a big capture do, the heap then keeps w
 those in use: 0.4 of 2.0 GB on a kilometre of street.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import os

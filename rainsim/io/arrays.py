@@ -6,8 +6,6 @@ range. A file that is cut, altered or made up therefore ends in an InputError of
 an index out of range or in minutes of a kernel.
 """
 
-from __future__ import annotations
-
 import errno
 import zipfile
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ RAINSIM_CACHE names the folder, or is "off". The default is rainsim/results in t
 folder (XDG_CACHE_HOME, or .cache in the home folder).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -156,10 +154,7 @@ def read(kind, name):
 
 
 def write(kind, name, facts, arrays):
-    """Keep a result; do nothing if keeping is off or the folder cannot be written.
-
-    Facts are JSON values, arrays hold numbers or bool.
-    """
+    """Keep a result (JSON facts, arrays of numbers); do nothing if off or not writable."""
     at = folder()
     if at is None:
         return
@@ -174,10 +169,7 @@ def write(kind, name, facts, arrays):
 
 
 def _make_room(at, needed):
-    """Delete the entries that were not used for the longest time until `needed` bytes [int] fit.
-
-    Return whether they do.
-    """
+    """Delete the entries unused for longest until `needed` bytes fit; return whether they do."""
     entries = sorted(_entries(at))
     held = sum(size for _, size, _ in entries)
     room = min(MOST_BYTES, MOST_OF_THE_DISK * (shutil.disk_usage(at).free + held)) - needed
@@ -189,10 +181,7 @@ def _make_room(at, needed):
 
 
 def _entries(at):
-    """Return (time of last use, bytes, path) of the entries in a folder.
-
-    What a run that was killed left half written counts, too.
-    """
+    """Return (time of last use, bytes, path) of a folder's entries, half written ones, too."""
     found = []
     for path in at.glob(f"*{SUFFIX}"):
         with suppress(OSError):  # another process has deleted it

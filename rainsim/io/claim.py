@@ -1,7 +1,5 @@
 """Claims: a file that one process alone holds, on one machine or on several that share a disk."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

@@ -1,7 +1,5 @@
 """OpenEXR files of several parts. OpenEXR's own library writes them, from the extra `exr`."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np
@@ -83,13 +81,7 @@ def write_parts(path, parts, header, frame_rate):
 
 
 def read_parts(path):
-    """Return the parts of an OpenEXR file by their names, each a pair of channels and header.
-
-    path : str or Path
-    Returns dict of str to (dict, dict). Channels by their names, ndarrays of
-        shape (height, width), float32, and the attributes.
-    Raises InputError if the file cannot be read.
-    """
+    """Return an OpenEXR file's parts by name: float32 channels by name, and header."""
     require_exr()
     fault = "some part's pixels are missing or damaged"
     try:

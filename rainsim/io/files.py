@@ -1,7 +1,5 @@
 """Small helpers of the readers and writers: clear errors on reading, whole files on writing."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -104,10 +102,7 @@ def _umask():
 
 
 def named_path(path, folder):
-    """Return how a record in `folder` names a path: as seen from the folder unless it is absolute.
-
-    The record then means the same path wherever a later command is started.
-    """
+    """Return how a record in `folder` names a path: seen from it unless absolute."""
     path = Path(path)
     if path.is_absolute():
         return str(path)
@@ -184,10 +179,7 @@ def json_number(value):
 
 
 def number_array(value, shape):
-    """Return nested lists of numbers as a float64 array of `shape`, None if they are not that.
-
-    Values that are not finite or beyond MAX_LENGTH are not taken for numbers.
-    """
+    """Return lists as float64 of `shape`, None if not finite numbers below MAX_LENGTH."""
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError, RecursionError):

@@ -4,8 +4,6 @@ A fingerprint is a hash of what the bytes depend on: the content of scene and se
 versions of rainsim and its libraries. Names of paths, hosts and systems have no part.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json
@@ -20,10 +18,7 @@ BLOCK = 1 << 20  # bytes
 
 
 def fingerprint(content):
-    """Return the fingerprint of a run's inputs and versions, 64 hexadecimal digits.
-
-    `content` holds plain JSON values: hashes of files and arrays, settings.
-    """
+    """Return the fingerprint of a run's inputs (plain JSON) and versions, 64 hexadecimal digits."""
     return hash_of({"content": content, "rainsim": __version__, "versions": versions()})
 
 

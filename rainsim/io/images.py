@@ -4,8 +4,6 @@ The only module that imports imageio and Pillow. Every file is written whole und
 and then renamed, so that what stood there before survives a failure.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os
@@ -57,10 +55,7 @@ def write_png(path, image):
 
 
 def lossless_webp(pixels):
-    """Return pixels (height, width, 4) uint8 as a lossless WebP picture: bytes.
-
-    Quickly: with more effort files would be some 5 % smaller.
-    """
+    """Return pixels (height, width, 4) uint8 as lossless WebP; slower would be 5 % smaller."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -69,10 +64,7 @@ def lossless_webp(pixels):
 
 
 def write_png16(path, values):
-    """Write whole numbers, 0 to 65535 of any type, as a grey 16-bit PNG, without loss.
-
-    ParameterError if a value is out of that range or not finite.
-    """
+    """Write whole numbers, 0 to 65535, as a grey 16-bit PNG; others are a ParameterError."""
     values = np.ascontiguousarray(values)
     if values.size and not (values.min() >= 0 and values.max() <= 65535):
         raise ParameterError(
@@ -187,10 +179,7 @@ def of_photograph(path, read):
 
 
 def write_tagged(path, values, tags):
-    """Write a map of float32 values as a TIFF with tags, a dict of int to numbers or text.
-
-    imageio drops tags.
-    """
+    """Write float32 values as a TIFF with tags (int to numbers or text), which imageio drops."""
     from PIL import Image
 
     picture = Image.fromarray(np.ascontiguousarray(values, np.float32))

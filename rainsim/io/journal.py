@@ -6,8 +6,6 @@ fill one folder, on one machine or on many, each has a journal of its own until 
 shared disk does not keep lines apart that two machines append to one file.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

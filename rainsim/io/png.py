@@ -6,8 +6,6 @@ pictures, depths, flow and masks the differences are noise or runs, in which a s
 strings finds nothing: files are as large as those of Pillow at level 2, in a third of the time.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 

@@ -2,8 +2,6 @@
 place.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -224,12 +222,7 @@ def _units(path, keys):
 
 
 def write_raster(path, values, like):
-    """Write a map of the place and the kind of a `Raster`, whole or not at all.
-
-    path : path-like. Its suffix is `like.kind`.
-    values : array (ny, nx). Row 0 is south.
-    like : Raster
-    """
+    """Write a map of the place and the kind of a `Raster`, whole or not at all; row 0 is south."""
     with replacing(path) as temporary:
         if like.kind == ".npy":
             np.save(temporary, values)

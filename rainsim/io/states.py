@@ -1,7 +1,5 @@
 """States of the water as files: those of a frame (`SimState`), and those of a `WaterSolver`."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass, field, replace
@@ -192,14 +190,7 @@ def write_solver(path, made_of, arrays):
 
 
 def read_solver(path, made_of, wanted):
-    """Return the arrays that `write_solver` wrote, by name.
-
-    path : path-like
-    made_of : str. Must be the same in the file.
-    wanted : dict of str to ndarray. Arrays of the same names, types and shapes.
-    Raises InputError if the file is no such state, or one of a solver that was
-        made differently.
-    """
+    """Return `write_solver`'s arrays, as `wanted` has them; InputError if made differently."""
 
     def read(fields):
         versions = SOLVER_VERSION, SOLVER_REMEDY, SOLVER_VERSION

@@ -5,8 +5,6 @@ H.265, the constant rate factor 51 - quality / 2 (0 is nearly lossless, 51 the w
 quantiser from 1 to 64 in its place, which a step of 100 / 6 halves.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import tempfile
@@ -90,10 +88,7 @@ USUAL = VideoFormat()
 
 
 def time_code(frame, fps):
-    """Return the time code of a frame's number, without drop frames: 1001 at 24/s is 00:00:41:17.
-
-    Frame rates such as 23.976 count as the whole one above, as is usual.
-    """
+    """Return a frame's time code without drop frames: 1001 at 24/s is 00:00:41:17."""
     whole = max(round(fps), 1)
     seconds, left = divmod(frame, whole)
     return f"{seconds // 3600 % 24:02}:{seconds // 60 % 60:02}:{seconds % 60:02}:{left:02}"

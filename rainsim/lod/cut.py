@@ -5,14 +5,12 @@ blocks, sorted by leaf in a file beside the result, and written leaf by leaf. A 
 levels are merged from its own splats.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import tempfile
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,23 +39,17 @@ ENVIRONMENT = f"env/{META}"
 WRITERS = 2  # threads
 
 
-def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False, keep=None):
+def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False):
     """Write a Streamed SOG of a capture.
 
-    folder : path-like. Made if it does not exist. Its lod-meta.json appears when
-        all else is written.
     blocks : callable. blocks() returns an iterator over the capture's `Splats`,
         in parts of any size; it is called twice and must give the same splats.
     leaf : int. Splats of a leaf, about.
     tell : callable, optional. tell(done, total) is called as splats are written.
     antialiased : bool. Whether the chunks say that their splats were trained
         antialiased.
-    keep : object, optional. Of a cut that can be gone on with: its begin() is
-        called before the first chunk is written, has(name) says whether a chunk
-        is there whole, and done(name) notes one that is. Without it what a cut
-        that fails has written is removed.
     Returns list of int. Splats of each level, without those that are always
-        drawn.
+        drawn. What a cut that fails has written is removed.
     Raises InputError if there are no splats.
     """
     folder = Path(folder)
@@ -75,15 +67,14 @@ def cut(folder, blocks, leaf=LEAF, tell=None, antialiased=False, keep=None):
             is_broad = block.scale.max(axis=1) > broad
             sorted_.add(block.take(~is_broad), tree)
             sorted_.add_broad(block.take(is_broad))
-        chunks = _Chunks(folder, antialiased, keep)
-        return _write(chunks, sorted_, tree, tell or (lambda done, total: None))
+        return _write(folder, antialiased, sorted_, tree, tell or (lambda done, total: None))
 
 
-def _write(chunks, sorted_, tree, tell):
+def _write(folder, antialiased, sorted_, tree, tell):
     """Write all chunks and the index; return the number of splats of each level."""
     sides = _sides(sorted_)
     boxes, runs, done, total = {}, {}, 0, sorted_.count
-    with chunks.of_levels(len(sides)):
+    with _Chunks(folder, antialiased, len(sides)) as chunks:
         for leaf in range(tree.leaves):
             splats = sorted_.leaf(leaf)
             if not len(splats):
@@ -107,7 +98,7 @@ def _write(chunks, sorted_, tree, tell):
         "filenames": chunks.names,
         "tree": tree.nested(boxes, runs),
     }  # fmt: skip
-    with replacing(chunks.folder / LOD_META) as path:
+    with replacing(folder / LOD_META) as path:
         path.write_text(json.dumps(index, separators=(",", ":")), encoding="utf-8")
     return counts
 
@@ -317,25 +308,15 @@ class _Sorted:
         return self.leaf(self.leaves) if self.counts[self.leaves] else None
 
 
-@dataclass
 class _Chunks:
     """Runs of splats on their way into chunks, level by level."""
 
-    folder: Path
-    antialiased: bool
-    keep: object = None
-    names: list = field(default_factory=list)
-
-    def of_levels(self, levels):
-        """Begin to write chunks of so many levels; return this object."""
-        self.levels = levels
+    def __init__(self, folder, antialiased, levels):
+        self.folder, self.antialiased, self.levels, self.names = folder, antialiased, levels, []
         self._open = [[] for _ in range(levels)]
         self._number = [0] * levels
         self._file = [None] * levels
         self._pool, self._ahead = ThreadPoolExecutor(WRITERS), deque()
-        if self.keep is not None:
-            self.keep.begin()
-        return self
 
     def __enter__(self):
         return self
@@ -349,7 +330,7 @@ class _Chunks:
                     self._ahead.popleft().result()
         finally:
             self._pool.shutdown(cancel_futures=True)
-            if kind is not None and self.keep is None:
+            if kind is not None:
                 for name in [*self.names, ENVIRONMENT]:
                     shutil.rmtree((self.folder / name).parent, ignore_errors=True)
 
@@ -373,13 +354,8 @@ class _Chunks:
         self._file[level] = None
 
     def write(self, name, splats):
-        """Write a chunk beside the work on the next ones, unless it is there."""
+        """Write a chunk beside the work on the next ones."""
         while len(self._ahead) > WRITERS:
             self._ahead.popleft().result()
-        if self.keep is None or not self.keep.has(name):
-            self._ahead.append(self._pool.submit(self._write, name, splats))
-
-    def _write(self, name, splats):
-        write_sog((self.folder / name).parent, splats, self.antialiased)
-        if self.keep is not None:
-            self.keep.done(name)
+        chunk = (self.folder / name).parent
+        self._ahead.append(self._pool.submit(write_sog, chunk, splats, self.antialiased))

@@ -3,8 +3,6 @@
 They are fine near by and coarser far away.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

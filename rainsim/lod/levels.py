@@ -4,8 +4,6 @@ The choice depends on the camera, the index and two settings alone, never on wha
 a frame by itself is the same as in a sequence.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.scene.formats.streamed import NONE
@@ -38,10 +36,7 @@ def chosen_levels(tree, camera, near, threshold, most, plane=None):
 
 
 def levels_of(tree, size, threshold):
-    """Return the coarsest level of each leaf whose cells take at most `threshold` pixels.
-
-    `size` is that of a capture unit at each leaf [px].
-    """
+    """Return the coarsest level of each leaf whose cells take at most `threshold` pixels."""
     fine_enough = tree.side * size[:, None] <= threshold
     fine_enough[:, 0] = True
     return levels_at(tree, tree.levels - 1 - fine_enough[:, ::-1].argmax(axis=1))

@@ -1,7 +1,5 @@
 """Coarser levels of splats: those finer than a cell become one a cell, with their moments kept."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -5,8 +5,6 @@ always drawn after them. A splat of a coarser level stands for several. It has t
 nearest splat of the finest level in its leaf.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -26,10 +24,7 @@ class FinestNumbers:
         self.count = int(self._first[-1]) + always
 
     def of_run(self, leaf, level, splats):
-        """Return the numbers of the `Splats` of a run, ndarray of shape (n,), int32.
-
-        InputError if the run lacks splats, so that the others have no certain number.
-        """
+        """Return the numbers of a run's `Splats`, (n,); InputError if it lacks some."""
         if leaf == ALWAYS:
             return np.arange(self._first[-1], self.count, dtype=np.int32)
         finest = int(self._finest[leaf])

@@ -5,8 +5,6 @@ its pages in the order of the index, whatever was read first and wherever they l
 the same bytes every time.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 
@@ -55,15 +53,10 @@ class Held:
 class PagedRasterizer:
     """Draws the parts of a big capture that a camera needs, with the methods of a `Rasterizer`.
 
-    prepare : callable. prepare(splats) returns the `Page` of the `Splats` of a
-        run.
     detail : float [px]. Cells that a level was merged to are at most as wide in
         the picture.
     coefficients : int. Of a channel's harmonics, as `prepare` makes them.
-    rasterizer_of : callable. rasterizer_of(prepared) returns what draws prepared
-        splats.
     coarser : float. Factor on `detail` for all pictures.
-    compensate : bool. See `PreparedSplats`.
     room : ChunkRoom, optional. Where pages lie, shared by those whose harmonics
         have the same degree.
     numbers_of : callable, optional. numbers_of(leaf, level, splats) returns what
@@ -101,10 +94,7 @@ class PagedRasterizer:
         self._number = next(self._numbers)
 
     def draw(self, camera, near, plane=None, leading=False, threshold=None, **options):
-        """Return the `Layers` that `camera` sees; the parameters are those of `Rasterizer.draw`.
-
-        `threshold` [px] takes the place of `detail` for this picture.
-        """
+        """Return the `Layers` that `camera` sees; `threshold` [px] is for `detail`."""
         self.hold(self._held, camera, near, plane, leading, threshold)
         prepared = self.prepared
         if self._rasterizer is None:

@@ -4,8 +4,6 @@ A picture names the chunks that it is drawn of, in the order of the index. Nothi
 and its bytes do not depend on where a page came to lie.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 The polynomials are our own minimax fits: exp(-x) up to 1.25, atan(x)/x in x^2.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF_PI, PI, TWO, ZERO

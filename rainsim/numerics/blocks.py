@@ -4,8 +4,6 @@ numpy and scipy.ndimage work outside Python's lock, so that blocks of one array 
 side by side. Each function returns the same bytes for any number of threads.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

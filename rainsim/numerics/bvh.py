@@ -1,7 +1,5 @@
 """A bounding volume hierarchy over the ellipsoids of splats, for rays."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, TWO, ZERO

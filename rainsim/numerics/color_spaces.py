@@ -7,8 +7,6 @@ primaries AP1, white 0.32168, 0.33767). White is adapted by the Bradford transfo
 OpenColorIO's configurations of ACES do.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Values between the cells of a field and the pixels of a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, THREE, TWO, ZERO
@@ -17,10 +15,7 @@ def smoothstep(low, high, x):
 
 @inlined_function
 def map_place(x, y, origin, spacing):
-    """Return column u and row v of a map at (x, y) [m]; cell centres are whole numbers.
-
-    `origin` (2,) [m] is the corner of the first cell.
-    """
+    """Return column and row of a map at (x, y) [m]; cell centres are whole numbers."""
     return (x - origin[0]) / spacing - HALF, (y - origin[1]) / spacing - HALF
 
 

@@ -1,7 +1,5 @@
 """Mipmaps: a picture at halved sizes, from which a blurred colour is one look-up."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, TWO, ZERO

@@ -4,8 +4,6 @@ Such a kernel has a float32 array of some rows of CHUNK numbers and computes one
 after the other; only look-ups in tables are done pixel by pixel.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
@@ -28,12 +26,10 @@ def held(x, most):
 def interpolate(field, n, s, u, v, place, corner):
     """Replace n columns of places in a field by the field's value there, interpolated bilinearly.
 
-    field : float32 array (rows, columns)
     n : int. At most CHUNK.
     s : float32 array. Columns of the places from index `u` on, which the values
         replace, and their rows from index `v` on, which are overwritten with
         weights.
-    u, v : int
     place : uint32 array (CHUNK,)
     corner : float32 array (CORNERS,). Working memory, as `place`.
     """

@@ -1,7 +1,5 @@
 """Ripmaps: a picture at all combinations of halved widths and heights, in one array."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO

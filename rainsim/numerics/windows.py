@@ -1,7 +1,5 @@
 """Windows of maps: rows and columns, a tuple of two slices."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

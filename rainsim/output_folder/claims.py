@@ -1,7 +1,5 @@
 """One run at a time in an output folder, and nothing in it lost that no run would make again."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from contextlib import contextmanager, suppress
@@ -94,10 +92,7 @@ def _require_replaceable(path, sources):
 
 
 def relative(path):
-    """Return a path as messages show it, str.
-
-    It is relative to the current folder if it lies below that folder, else as given.
-    """
+    """Return a path as messages show it: relative if below the current folder, else as given."""
     path = Path(path)
     try:
         short = os.path.relpath(path)

@@ -1,7 +1,5 @@
 """What a record says of scene, settings and machine, and what of them results depend on."""
 
-from __future__ import annotations
-
 import os
 import platform
 
@@ -65,10 +63,7 @@ def settings_facts(config, preset):
 
 
 def input_facts(scene, folder):
-    """Return name, source, hash and ground frame of a scene as plain values; None without one.
-
-    The source is named as a record in `folder` names it, see `rainsim.io.files.named_path`.
-    """
+    """Return name, source, hash and ground frame of a scene as plain values, or None."""
     if scene is None:
         return None
     from rainsim.scene.ground import ground_frame_to_dict

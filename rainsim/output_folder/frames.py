@@ -1,7 +1,5 @@
 """The frames of a run, written one by one with cameras, preview, video and record."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 from rainsim.errors import RainsimError

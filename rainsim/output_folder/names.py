@@ -1,7 +1,5 @@
 """Names of the files in an output folder, and the record that an earlier run left in one."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The record of a run: what it was, which files it wrote, and whether another may go on with it."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 import time
@@ -83,11 +81,7 @@ class Record:
         self.write(complete=False)  # first of all: a run that is killed can be gone on with
 
     def resume(self, indices, part=FRAME, facts=FRAME_FACTS):
-        """Return the journal's entries of the finished parts among `indices`, by index.
-
-        `part` is the name of the file that each part has, with its index to be filled in, `facts`
-        what an entry must hold, by type. ParameterError as `require_same` raises it.
-        """
+        """Return the journal's entries of finished parts, whose files are named by `part`."""
         self.require_same()
         return {
             index: entry

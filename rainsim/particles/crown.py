@@ -4,8 +4,6 @@ A crown is a rim on a thin sheet, some milliseconds old; over deep water a jet f
 exposure sees of it is given as short lines, each with the area of water that it stands for.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -48,11 +46,9 @@ _FULL_TURN = 2 * math.pi
 class Crown(NamedTuple):
     """The shape of a crown: see `crown_shape`.
 
-    life : float64 [s]
     growth : float64 [m s^(-1/2)]. Radius of the foot over the square root of the
         age.
     height : float64 [m]. Greatest.
-    jet : bool. Whether a jet follows.
     fingers : float. Of the rim, on the mean.
     """
 
@@ -86,9 +82,6 @@ def crown_life(diameter, speed):
 @device_function
 def crown_shape(impact, size, pixel):
     """Return the `Crown` of an `Impact` on water.
-
-    size : float. See `splash.relative_size`.
-    pixel : float [m]. Width of a pixel there.
 
     The crown's foot grows as Yarin and Weiss 1995 (J. Fluid Mech. 283, 141) have it, R / D =
     (2 / (3 h / D))^(1/4) (V t / D)^(1/2), times one factor for what the friction takes, which

@@ -1,7 +1,5 @@
 """Light of drops along their paths: which pixels a drop crosses while the shutter is open."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.jit import lean_function, serial_kernel

@@ -18,8 +18,6 @@ stand up: seen from the side they mirror and let through the light of the sky an
 seen from above the dark ground beside them.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ are fog. The smallest drops are fog everywhere. Q = 1: a camera does not see the
 extinction that is diffraction.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.shading.composite import FOG_END

@@ -4,8 +4,6 @@ What its text leaves open is chosen here, and said: how many drops, how long a l
 to the base image's normalised brightness" means, and two of the three axes of a splash.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.drops import impacts
@@ -28,9 +26,6 @@ SPLASH_LENGTH = 2.0  # longest axis of a splash over the other two; not given
 def draw_lines(field, surfaces, camera, time, far, depth, alpha_out):
     """Draw drops as lines of opaque spheres, whatever their size and the exposure.
 
-    field : RainField
-    camera : Camera. Perspective, in the ground frame, in metres.
-    time, far : float [s], [m]
     depth : float32 array (height, width) [m]
     alpha_out : float32 array (height, width). Overwritten.
 
@@ -60,11 +55,8 @@ def draw_lines(field, surfaces, camera, time, far, depth, alpha_out):
 def draw_gaussians(field, surfaces, camera, start, stop, depth, alpha_out):
     """Draw each drop that fell from `start` to `stop` [s] as one Gaussian where it fell.
 
-    field : RainField
     start, stop : float [s]. One frame: the paper's splash is there in the frame
         in which its drop vanishes.
-    depth : float32 array (height, width) [m]
-    alpha_out : float32 array (height, width). Overwritten.
 
     The covariance has det Sigma = V^2, so the standard deviations' product is the drop's volume
     V; the longest lies along v - (v . n) n with n = z, the others are equal here. Vertical rain

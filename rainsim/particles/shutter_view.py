@@ -1,7 +1,5 @@
 """A camera while its shutter is open: its numbers for kernels, the air and ground that it sees."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -120,10 +118,7 @@ def seen_air(field, camera, view, far, aperture=0.0, focus=np.inf):
 
 
 def footprint(camera, reach, margin=0.0):
-    """Return low and high corner (x, y) of a camera's view up to a depth, with a margin [m].
-
-    Returns float64 array (2, 2) [m]
-    """
+    """Return low and high corner (2, 2) [m] of a camera's view up to a depth, with a margin [m]."""
     points = reach * corner_rays(camera) @ camera.camera_from_world[:3, :3] + camera.position
     points = np.concatenate([points, camera.position[None]])[:, :2]
     return np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin])
@@ -136,15 +131,7 @@ def footprint(camera, reach, margin=0.0):
 def find_air(
     rays, view: ShutterView, far, aperture, focus, field: DropField, first_out, last_out, slack_out
 ):  # fmt: skip
-    """Write the `SeenAir` of a view.
-
-    rays : float64 array (4, 3). The `corner_rays` of its picture.
-    view : ShutterView
-    far : float64 array (CLASSES,) [m]
-    aperture, focus : float [m]
-    field : DropField
-    first_out, last_out, slack_out : ndarray. See `SeenAir`.
-    """
+    """Write the `SeenAir` of a view, whose `rays` (4, 3) are its picture's corners."""
     moves, turns = 0.0, 0.0
     for a in range(3):
         moves += (view.eye_end[a] - view.eye[a]) ** 2

@@ -7,8 +7,6 @@ Splashes are drawn (see `splash_pass`) and forgotten: their water (a few percent
 stays booked where the drop fell.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -83,7 +81,6 @@ def weber_number(diameter, speed):
 def splashes_on(depth, diameter, speed):
     """Tell whether a drop splashes on water of some depth; numbers or arrays.
 
-    depth, diameter : float or ndarray [m]
     speed : float or ndarray [m/s]. Of the fall: also on sloping ground and on the
         sides of objects.
 
@@ -139,7 +136,6 @@ def droplet(impact, n, count, size, exposure):
     for the fall speed and brakes the fast start of the flight too little.
 
     n, count : int. Its number, and how many droplets there are.
-    size : float. See `relative_size`.
     exposure : float [s]. 0 for a moment. With an exposure the velocity is the way
         during the exposure over the exposure, and the diameter that of the disc
         that covers as much for all of the exposure as the droplet does while it

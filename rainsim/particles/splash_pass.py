@@ -4,8 +4,6 @@ Impacts of the rain are sought, tested and drawn in one pass; drips that have la
 same pass can list the impacts that show, for labels: nothing else lists splashes as a whole.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -78,17 +76,11 @@ def draw_splashes(
 ):  # fmt: skip
     """Draw all that an exposure sees of splashes: crowns, jets and droplets.
 
-    field : RainField
     surfaces : Surfaces. What the drops fall on: ground, puddles, tables and
         roofs.
-    camera : Camera. Perspective, in the ground frame, in metres.
-    time, exposure : float [s]. The shutter is open from `time` to `time +
-        exposure`.
     water_depth : array (ny, nx) [m]. Water on the ground of the map, now.
     film : float [m]. Water on all else, and at least that on the ground: WET_FILM
         in the rain, 0 at its start.
-    depth : float32 array (height, width) [m]. Depth along the view axis of what
-        the splashes are before or behind; inf for sky.
     alpha_out : float32 array (height, width). Overwritten with the share of light
         that splashes replace.
     camera_end : Camera or None. The camera when the shutter closes, if it moves.
@@ -101,15 +93,7 @@ def draw_splashes(
 
 
 def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, depth, more=None):
-    """Return the place [m] and the id of each impact whose splash `draw_splashes` draws.
-
-    A splash that other things hide is among them.
-
-    field, surfaces, camera, time, exposure, water_depth, film, depth, more. As in
-        `draw_splashes`.
-    Returns position : float64 array (n, 3)
-        id : uint64 array (n,). Ascending.
-    """
+    """Return the place (n, 3) [m] and the id of each impact whose splash is drawn, or hidden."""
     view = shutter_view(camera, time, exposure)
     water = WaterDepth(np.asarray(water_depth, np.float32), float(film))
     alpha, room = np.empty_like(depth), LISTED
@@ -307,8 +291,6 @@ def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids
 def list_splash(impact, pixel, exposure, count, lines_out):
     """Add the lines of one impact: droplets, crown and jet.
 
-    pixel : float [m]. Width of a pixel there.
-    exposure : float [s]
     count, lines_out. As `crown.raise_crown` has them. Threads that draw a mark
         together share the pieces.
     """

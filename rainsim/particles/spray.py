@@ -6,8 +6,6 @@ are Gaussian clouds, as are the mist's. A drop is in one of both, so that all of
 same light wherever the line is drawn.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -38,10 +36,7 @@ _PER_TWO_PI = np.float32(0.5 / math.pi)
 
 
 def spray_seen(rolls, camera, time, exposure):
-    """Return the spray of `Rolls` that a camera of the ground frame may see at a time [s].
-
-    Drops (n, 7), which have the columns of `streaks.Line`, and `Puffs`; `rolls` may be None.
-    """
+    """Return the drops (columns of `Line`) and `Puffs` that a camera may see at a time [s]."""
     if rolls is None:
         return NO_DROPS, NO_PUFFS
     rolls = rolls.take(rolls.water > 0)
@@ -95,7 +90,6 @@ def _scattered(parcels, spread, count):
 def lay_clouds(puffs, camera, depth, alpha_out):
     """Put clouds before a picture.
 
-    camera : Camera. In the ground frame.
     depth : float32 array (height, width) [m]. Along the view axis, of what the
         clouds are before or behind.
     alpha_out : float32 array (height, width). Share of light that drops replace;

@@ -7,8 +7,6 @@ product of transmittances, summed as optical depths in whole numbers, so that ne
 nor the number of threads matters.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from typing import NamedTuple
@@ -75,10 +73,8 @@ def draw_streaks(
 ):  # fmt: skip
     """Draw the drops between NEAR and `far` as they move during the exposure.
 
-    field : RainField
     surfaces : Surfaces or None. Drops end on them and there are none under cover;
         None for open air.
-    camera : Camera. Perspective, in the ground frame, in metres.
     time, exposure : float [s]. The shutter is open from `time` to `time +
         exposure`.
     depth : float32 array (height, width) [m]. Depth along the view axis of what
@@ -198,10 +194,7 @@ def _draw_cube(cube, corner, corner_end, far, field, surfaces, view, scene, pict
 
 @jit.inlined_function
 def drop_offset(word, cube, field):
-    """Return how far (x, y, z) [m] a drop is from its cube's low corner, float32.
-
-    A side is a power of two, so that the products are exact.
-    """
+    """Return how far (x, y, z) [m] a drop is from its cube's low corner, float32, exactly."""
     side, (ux, uy, uz) = field.cube[cube.size_class], uniform_triple(word)
     return np.float32(ux * side), np.float32(uy * side), np.float32(uz * side)
 
@@ -236,10 +229,7 @@ def draw_line(line, view, scene, picture):
 
 @jit.lean_function
 def may_show(path, lens, scene):
-    """Tell whether a path's image may be in the picture: HIDDEN, PARTLY or CLEAR.
-
-    A path is clear if it lies in front of all tiles that its image touches.
-    """
+    """Tell whether a path's image may be in the picture: HIDDEN, PARTLY or CLEAR."""
     if path.z_end < HALF * _NEAR:
         return HIDDEN
     width, height = np.float32(scene.width), np.float32(scene.height)
@@ -275,14 +265,7 @@ _kept = threading.local()
 
 
 def drawing_buffers(shape):
-    """Return the work arrays of a drawing kernel, for a picture of `shape`.
-
-    Kept from call to call, for fresh memory costs as much as the drawing.
-
-    Returns columns : float32 array (height * width,)
-        tiles : float32 array (2, rows, columns)
-        pictures : int32 array (threads, height * width). Not blank.
-    """
+    """Return columns, tiles and a picture for each thread, not blank; kept from call to call."""
     wanted = (jit.set_threads(None), *shape)
     if getattr(_kept, "shape", None) != wanted:
         _kept.depth = np.empty(shape[0] * shape[1], np.float32)

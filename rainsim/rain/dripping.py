@@ -5,8 +5,6 @@ there is enough for a drop. Under an overhang the drop falls, from rest; at a wa
 the ground the water runs down and off at the wall's foot. Every surface keeps a film of water.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 
@@ -34,7 +32,6 @@ _MOST_AT_ONCE = 64  # drops from one point in one step; more is a jet
 class Drips:
     """The water on the objects of a map and the drops that leave them.
 
-    seed : int
     wet : bool. Whether it has rained before: films are full and each edge holds
         part of a drop.
     held : float. Water on the objects [m3]: films, puddles, hanging drops, and
@@ -88,10 +85,7 @@ class Drips:
         return float(drop_volume(self._flight["diameter"]).sum())
 
     def hold(self, room, held):
-        """Let the objects hold `room` [m3] more behind each point, of which `held` is there.
-
-        Both are arrays of shape (points,). Water fills that room before it leaves the edges.
-        """
+        """Let the objects hold `room` [m3] more behind each point, of which `held` is there."""
         self._room += room - held
         self._film += float(held.sum())
 
@@ -114,8 +108,6 @@ class Drips:
     def advance(self, start, stop, wind=(0.0, 0.0), roughness=0.0):
         """Let drops part, fall and land from `start` to `stop` [s].
 
-        start, stop : float [s]
-        wind : (float, float) [m/s]. At `wind.WIND_HEIGHT`.
         roughness : float [m]. Of the land, see `wind.wind_shares`.
         Returns row, column : int64 array (m,)
             volume : float64 array (m,) [m3]. What came to the ground.

@@ -1,7 +1,5 @@
 """Which share of the rain reaches each cell of the ground, past all that stands in its way."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 
@@ -39,10 +37,7 @@ def rain_exposure(terrain, wind, roughness=0.0):
 
 
 def computed_exposure(terrain, wind, roughness=0.0):
-    """Return the exposure of a terrain, or of an object with its grid, bed, top and underside.
-
-    See `rain_exposure`, which keeps it.
-    """
+    """Return the exposure of what has grid, bed, top and underside; it is not kept."""
     share = np.empty(terrain.grid.shape, np.float32)
     ceiling, box = np.float32(terrain.top.max()), _box_of(terrain.top > terrain.bed)
     _find_open_share(
@@ -84,13 +79,10 @@ def _find_open_share(bed, top, underside, spacing, ways, ceiling, box, share_out
     Ways that begin in one row are at the same place of their cells after each step, so that they
     look at one other row together.
 
-    bed, top, underside : float32 array (ny, nx) [m]
-    spacing : float32 [m]
     ways : float32 array (n, 2). Metres sideways per metre upwards.
     ceiling : float32 [m]. Height above which nothing stands.
     box : float32 array (4,). See `_box_of`: the cells with tops. Beside them a
         way is free.
-    share_out : float32 array (ny, nx)
     """
     ny, nx = bed.shape
     first, last, lowest_row, highest_row = box

@@ -4,8 +4,6 @@ The map is made of flat-topped cells. A drop's path is a straight line from the 
 where it first meets a column's top or side or the ground.
 """
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -28,8 +26,6 @@ _INFINITY = np.inf
 class HeightFields(NamedTuple):
     """The arrays of `Surfaces` that kernels read.
 
-    x0, y0 : float [m]. The map's lower left corner.
-    spacing : float [m]
     sky : float [m]. A height above all tops: paths are followed from there.
     ground, underside, top : float32 array (ny, nx) [m]. As `Surfaces` has them.
     patch_high : ndarray of shape (ceil(ny / PATCH), ceil(nx / PATCH)), float32
@@ -59,8 +55,6 @@ class Surfaces:
     `underside` to `top` is solid, and so is everything below `ground`. Beyond the map's edge
     nothing stops a drop.
 
-    spacing : float [m]
-    origin : (float, float) [m]. x and y of the map's lower left corner.
     ground : float32 array (ny, nx) [m]
     top : float32 array (ny, nx) [m]. Top of the occluder; equals `ground` where
         there is none. Values below it are raised to it.
@@ -108,7 +102,6 @@ class Surfaces:
         """Return these surfaces with other tops and undersides, which differ in `parts` alone.
 
         top, underside : float32 array (ny, nx) [m]. Not lower than the ground.
-        parts : sequence of tuple of slice. Rows and columns.
         """
         other = copy(self)
         high, around = self.patch_high.copy(), self.around_high.copy()
@@ -165,10 +158,7 @@ def _blocks_of(part, side, margin, shape):
 
 
 def reduce_blocks(reduce, values, side=BLOCK):
-    """Reduce blocks of side x side values to their minima or maxima; the last may be smaller.
-
-    By reductions along whole axes, in a third of the time of `reduceat`.
-    """
+    """Reduce blocks of `side` x `side` values to minima or maxima; a third of `reduceat`'s time."""
     beyond = [(0, -n % side) for n in values.shape]
     if any(n for _, n in beyond):
         values = np.pad(values, beyond, "edge")
@@ -209,8 +199,6 @@ def first_hit(x, y, z, vx, vy, vz, since, end, surfaces):
 
     The drop is at (x, y, z) at time 0 and moves with constant velocity, vz < 0.
 
-    x, y, z : float64 [m]
-    vx, vy, vz : float64 [m/s]
     since, end : float64 [s]. The part of the path that counts; minus infinity for
         all of it from the open sky.
     surfaces : HeightFields

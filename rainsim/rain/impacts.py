@@ -5,8 +5,6 @@ map in an interval are found without a history: cube by cube of the co-moving fr
 for each drop, and the search along its path for those that pass it.
 """
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -26,10 +24,6 @@ _MOST_VALUES, _MOST_LABELS = 5, 4  # per row of a listing
 class Impacts:
     """Drops that ended on a surface, each with its own time.
 
-    position : float64 array (n, 3) [m]
-    velocity : float64 array (n, 3) [m/s]
-    diameter : float64 array (n,) [m]
-    time : float64 array (n,) [s]
     kind : uint8 array (n,). GROUND (the ground or the water on it) or OBSTACLE
         (top or side of an occluder).
     row, column : int32 array (n,) (drops of the rain) or int64 (drips). The cell
@@ -124,10 +118,7 @@ def cubes_swept(size_class, i, j, start, stop, field, surfaces):
 
 @inlined_function
 def may_land(word, cube, start, stop, lowest, highest, field, surfaces):
-    """Return False if the drop `word` of a `Cube` surely does not end in [start, stop); cheap.
-
-    `lowest` and `highest` are those that `cubes_swept` returns for the cube.
-    """
+    """Return False if the drop `word` of a `Cube` surely does not end in [start, stop); cheap."""
     b, block = cube.size_class, surfaces.spacing * BLOCK
     low, high = surfaces.around_low, surfaces.around_high
     vx, vy, vz = field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2]
@@ -180,11 +171,7 @@ def fill_impacts(
     """List the drops of each slab of cubes that end in [start, stop).
 
     tasks : int64 array (n, 2). Class and first number i of each slab's cubes.
-    first, last : int64 array (CLASSES, 3)
-    start, stop : float64 [s]
-    field : DropField
     surfaces : HeightFields
-    offset, needed_out. As `run_listing` gives them.
     values_out : float64 array (rows, 5). x, y, z, diameter [m] and time [s].
     labels_out : int32 array (rows, 4). Class, kind, row and column.
     ids_out : uint64 array (rows,)

@@ -1,7 +1,5 @@
 """The map that drops hit over time: the still map, with actors over it."""
 
-from __future__ import annotations
-
 import math
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -34,10 +32,7 @@ class Heights(NamedTuple):
 
 
 def begun(before, times, kept, find):
-    """Return futures by times [s]: those of `before`, and `find(time)` begun where it lacks one.
-
-    Of the times in `kept` those that `before` has are taken over.
-    """
+    """Return futures by times [s]: those of `before` and `kept`, else `find(time)` begun."""
     there = {time: before[time] for time in kept if time in before}
     return there | {time: before.get(time) or AHEAD.submit(find, time) for time in times}
 
@@ -45,10 +40,7 @@ def begun(before, times, kept, find):
 class MovingSurfaces:
     """The surfaces of a terrain with the actors on it, one moment after another.
 
-    wind : tuple of float. Speed [m/s] at 10 m and direction [rad]: which way the
-        rain comes from.
     roughness : float [m]. See `rain.wind.wind_shares`.
-    still : Surfaces. Without what moves.
     """
 
     def __init__(self, terrain, wind=(0.0, 0.0), roughness=0.0):
@@ -119,11 +111,7 @@ class MovingSurfaces:
         return surfaces, [shelter for shelter in shelters if shelter is not None]
 
     def _shelter(self, shadow):
-        """Return the part of the map that an actor shelters, and the share that it lets through.
-
-        None if it shelters nothing.
-        Of the rain that things which stand let through: their shares are multiplied.
-        """
+        """Return the part of the map that an actor shelters and the share let through, or None."""
         terrain, grid = self._terrain, self._terrain.grid
         high = float(np.nanmax(shadow.top)) - float(terrain.bed[shadow.part].min())
         margin = MARGIN + self._wind[0] / SLOWEST * max(high, 0.0)

@@ -4,8 +4,6 @@ In the frame that moves with a size class its drops are a frozen Poisson field, 
 lists of `rainsim.drops` and the streaks of a picture both take their drops from these functions.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import NamedTuple
 
@@ -27,7 +25,6 @@ _DIAMETER_STREAM = np.uint64(0xD1A3)
 class DropField(NamedTuple):
     """The arrays of `rainsim.drops.RainField` that kernels read, class by class.
 
-    velocity : float64 array (CLASSES, 3) [m/s]
     cube : float64 array (CLASSES,) [m]. Side of the cubes, a power of two.
     class_key : uint64 array (CLASSES,). The random key that the keys of the cubes
         come from.
@@ -132,10 +129,6 @@ def cubes_along(low, high, start, duration, velocity, offset, side):
     Numbers, or arrays of a shape.
 
     low, high : float [m]. Where the drops come by.
-    start, duration : float [s]
-    velocity : float [m/s]. Of the drops.
-    offset : float [m]. Of the co-moving frame.
-    side : float [m]. Of the cubes.
     """
     drift, before = velocity * duration, velocity * start
     first = np.floor((low - np.maximum(drift, 0.0) - before - offset) / side)
@@ -160,7 +153,6 @@ def _shuffled(count):
 def swept_cubes(field, surfaces, start, stop, within=None):
     """Return the cubes whose drops may end on the map in an interval.
 
-    field, surfaces, within. As `drops.impacts` has them.
     start, stop : float or array (CLASSES,) [s]
     Returns first, last : int64 array (CLASSES, 3). The first and last cubes of
         each class; `impacts.cubes_swept` narrows them along z.
@@ -179,10 +171,7 @@ def swept_cubes(field, surfaces, start, stop, within=None):
 
 
 def cube_sides():
-    """Return the cube side [m] of each class of diameters, a power of two.
-
-    A cube holds about _CUBE_FILL drops in rain of _FILL_RATE, as far as _CUBE_SIDES allows.
-    """
+    """Return each class's cube side [m], a power of two: _CUBE_FILL drops in rain of _FILL_RATE."""
     density = RainSpectrum(_FILL_RATE).density
     side = 2.0 ** np.round(np.log2((_CUBE_FILL / density) ** (1 / 3)))
     return np.clip(side, *_CUBE_SIDES)

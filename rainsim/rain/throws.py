@@ -15,8 +15,6 @@ that states them. Drop sizes are those that Radovich and Browand measured behind
 so beside its number.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ All of it follows from the cars' tracks, a time and the water of that time, so t
 none before it. The simulated water knows no tyres.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -58,11 +56,7 @@ class Rolls(NamedTuple):
 
 
 def cars_of(footprints, render):
-    """Return the motions of the actors that have tyres; none if a RenderConfig leaves spray out.
-
-    Raises ParameterError if a car's box is none of a road vehicle, or its track
-        faster than FASTEST.
-    """
+    """Return the motions of actors with tyres; none if spray is off; ParameterError if unfit."""
     if render.spray == "off":
         return []
     cars = [footprint.motion for footprint in footprints if len(footprint.motion.wheels)]

@@ -6,8 +6,6 @@ share of the wind at 10 m that grows with its size, on a path that is taken as s
 few metres of a scene.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ Infinite logarithms and logits have a meaning: a logit of +inf is an opacity of 
 it for the full byte of SPZ and SOG), of -inf one of 0, and a logarithm of -inf a scale of 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import InputError
@@ -35,12 +33,7 @@ def empty_splats(count, coefficients):
 def activate_rows(splats, part, position, log_scale, turn, logit, base, rest=None, widen=None):
     """Fill the rows `part` of `splats` in place from the stored values of n splats.
 
-    part : slice
-    position : array (n, 3)
-    log_scale : array (n, 3)
     turn : array (n, 4). Quaternions of any length, w first.
-    logit : array (n,). Opacity before the logistic function.
-    base : array (n, 3). First coefficient of the spherical harmonics.
     rest : array (n, k - 1, 3), optional. Coefficients of the higher degrees.
     widen : array (n,), optional. Standard deviation [capture units] of the 3D
         smoothing filter that the capture was trained with. It is added to each
@@ -88,11 +81,7 @@ def activate(position, log_scale, turn, logit, base, rest=None):
 
 
 def keep_good(path, splats, good, max_broken=MAX_BROKEN_SHARE):
-    """Return the usable splats and how many were dropped.
-
-    Raises InputError if the share of unusable splats is above `max_broken`, or no
-        splat is usable.
-    """
+    """Return the usable splats and how many were dropped; InputError if too many or all were."""
     count = len(good)
     broken = count - int(np.count_nonzero(good))
     if not broken:

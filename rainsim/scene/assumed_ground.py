@@ -4,28 +4,13 @@ Nothing of it is known. It is a start from which a person mends up and scale by 
 each assumption is a note of its own, with the option that corrects it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
 import numpy as np
 
 from rainsim.errors import GroundError
-from rainsim.scene.ground import (
-    ASSUMED_CAMERA_HEIGHT,
-    check_hints,
-    estimate_ground_frame,
-    ground_axes,
-    width_of,
-)
-from rainsim.scene.ground_search import (
-    UP_HINT_ANGLE,
-    ground_candidates,
-    mean_image_up,
-    said,
-    search_ground,
-)
+from rainsim.scene import ground, ground_search
 from rainsim.scene.types import GroundFrame
 
 USUAL_UPS = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)  # COLMAP's, maps', glTF's
@@ -40,14 +25,13 @@ SLAB = 0.3  # m about the ground's height in which splats lie on it
 def ground_frame_of(splats, cameras, up=None, meters_per_unit=None, camera_height=None):
     """Return the `GroundFrame` estimated with the cameras; without cameras one that is assumed."""
     if cameras or camera_height is not None:
-        return estimate_ground_frame(splats, cameras, up, meters_per_unit, camera_height)
+        return ground.estimate_ground_frame(splats, cameras, up, meters_per_unit, camera_height)
     return assumed_ground_frame(splats, (), up, meters_per_unit)
 
 
 def assumed_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
     """Return a `GroundFrame` for a capture of which too little is known to estimate one.
 
-    cameras : sequence of Camera. In the capture frame.
     up : array_like of shape (3,), optional. Roughly up; otherwise the flattest
         wide surface with most of the capture above it counts as level. Without
         such a surface it is the mean image-up of the cameras, or -y.
@@ -59,11 +43,11 @@ def assumed_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
     Raises ParameterError if a given value is out of range.
     """
     eyes = np.array([camera.position for camera in cameras]).reshape(-1, 3)
-    hint = check_hints(up, meters_per_unit, None)
-    points, _ = ground_candidates(splats)
+    hint = ground.check_hints(up, meters_per_unit, None)
+    points, _ = ground_search.ground_candidates(splats)
     found = _surface(splats, points, hint)
     if found is None:
-        normal = hint if hint is not None else mean_image_up(cameras)
+        normal = hint if hint is not None else ground_search.mean_image_up(cameras)
         normal = np.array(USUAL_UPS[0]) if normal is None else normal
         on_it, centre, confidence = points, np.median(points, axis=0), 0.0
         low = np.percentile(points @ normal, LOWEST)
@@ -75,16 +59,16 @@ def assumed_ground_frame(splats, cameras=(), up=None, meters_per_unit=None):
         on_it = points[np.abs(plane.height(points)) < plane.threshold]
         centre = centre - plane.height(centre) * normal
         why = "the flattest wide surface under most of the capture is taken as level"
-    notes = [f"UP IS ASSUMED: {why}, up is {said(normal)}; --up x,y,z corrects it"]
+    notes = [f"UP IS ASSUMED: {why}, up is {ground_search.said(normal)}; --up x,y,z corrects it"]
     if up is not None:
-        notes = [f"up is {said(normal)}, near the one that was given"]
+        notes = [f"up is {ground_search.said(normal)}, near the one that was given"]
     heights = (eyes - centre) @ normal
     scale = meters_per_unit
     if scale is None and len(eyes) and heights.mean() > 0:
-        scale = ASSUMED_CAMERA_HEIGHT / float(heights.mean())
+        scale = ground.ASSUMED_CAMERA_HEIGHT / float(heights.mean())
     elif scale is None:
-        scale = WIDTH / _require_width(width_of(on_it), points)
-    rotation = ground_axes(normal, cameras)
+        scale = WIDTH / _require_width(ground.width_of(on_it), points)
+    rotation = ground.ground_axes(normal, cameras)
     frame = GroundFrame(rotation, float(scale), -scale * rotation @ centre, confidence)
     length, width = sorted(ground_extent(splats, frame)[1], reverse=True)
     size = f"the ground is {length:.2g} m by {width:.2g} m"
@@ -118,7 +102,7 @@ def _surface(splats, points, hint):
 
     def search(up, angle):
         try:
-            return search_ground(
+            return ground_search.search_ground(
                 splats, np.zeros((0, 3)), up, angle, 0, hint is not None, ambiguous=True
             )
         except GroundError:
@@ -131,10 +115,10 @@ def _surface(splats, points, hint):
         return plane.confidence * (above - below) / max(above + below, 1e-9)
 
     if hint is not None:
-        return search(hint, UP_HINT_ANGLE)
+        return search(hint, ground_search.UP_HINT_ANGLE)
     found = [search(None, math.pi)]
     if found[0] is None or score(found[0]) < SURE:
-        found += [search(np.array(up), UP_HINT_ANGLE) for up in USUAL_UPS]
+        found += [search(np.array(up), ground_search.UP_HINT_ANGLE) for up in USUAL_UPS]
     best = max(filter(None, found), key=score, default=None)
     if best is not None and score(best) > LEAST_SURE:
         return best
@@ -156,7 +140,7 @@ def of_stage(frame, splats):
 
 def ground_extent(splats, frame):
     """Return the middle (2,) [m] of a capture's ground and its width along x and y (2,) [m]."""
-    points = frame.to_ground(ground_candidates(splats)[0])
+    points = frame.to_ground(ground_search.ground_candidates(splats)[0])
     near = np.abs(points[:, 2]) < SLAB
     near = points[near] if near.any() else points
     low, high = np.percentile(near[:, :2], (5, 95), axis=0)
@@ -167,8 +151,6 @@ def levelled_frame(frame, up, point):
     """Return a ground frame with another up, whose ground goes through a point; none is searched.
 
     frame : GroundFrame. Its scale stays, and its x axis as far as it is level.
-    up, point : array_like of shape (3,). In the capture frame; `point` in capture
-        units.
     """
     up, point = np.array(up, np.float64) / np.linalg.norm(up), np.array(point, np.float64)
     axes = [axis - (axis @ up) * up for axis in (frame.rotation[0], frame.rotation[2])]

@@ -1,7 +1,5 @@
 """Captures in chunks (Streamed SOG) as scenes: the pages, and the whole as a coarse level."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 
@@ -22,10 +20,7 @@ def require_home(scene, folder):
 
 
 def open_pages(path):
-    """Return the `Pages` of a lod-meta.json, the whole as coarse `Splats`, their hash and notes.
-
-    path : path-like. The lod-meta.json or its folder.
-    """
+    """Return the `Pages` of a lod-meta.json, the whole as coarse `Splats`, their hash and notes."""
     path = Path(path)
     tree = read_tree(path if path.name == LOD_META else path / LOD_META)
     pages, digest = Pages(tree), tree.fingerprint()

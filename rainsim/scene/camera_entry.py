@@ -1,7 +1,5 @@
 """One camera's values in a JSON file, checked one by one, and the pose that they make."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import InputError, shown

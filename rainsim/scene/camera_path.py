@@ -8,8 +8,6 @@ it time goes on from frame to frame. Its seconds are those of the file's own `fp
 frame rate shows the same states of the rain, faster or slower.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -36,13 +34,7 @@ def is_camera_path(data):
 
 
 def path_cameras(data, source):
-    """Return the cameras of a camera path.
-
-    data : dict. For which `is_camera_path` is true.
-    source : path-like. Names the file in errors.
-    Returns list of Camera. In the capture frame, named "path_00000" and so on.
-    Raises InputError: Names the frame and the value that is missing or wrong.
-    """
+    """Return the cameras of a camera path, in the capture frame, named "path_00000" and so on."""
     whole = Entry(source, "camera path", data)
     if str(data.get("camera_type", KINDS[0])).lower() not in KINDS:
         raise whole.error("camera_type", "perspective: only pinhole cameras are drawn")
@@ -55,8 +47,6 @@ def path_cameras(data, source):
 def path_moments(data, source):
     """Return the number of the rain's state that each frame of a camera path shows.
 
-    data : dict. For which `is_camera_path` is true.
-    source : path-like. Names the file in errors.
     Returns tuple of int. Those nearest to the frames' `render_time`; empty where
         no frame has one, and where time goes on from frame to frame at the file's
         `fps`.
@@ -91,8 +81,6 @@ def _rain_time(entry):
 def path_keyframes(data, source):
     """Return the keyframes that a camera path goes through.
 
-    data : dict. As `camera_path_data` returns it.
-    source : path-like. Names the file in errors.
     Returns list of (Camera, float, float or None). In the capture frame; the
         seconds from the keyframe before; the time of the rain [s] that it shows,
         if it has one. A closed path ends with its first keyframe again.
@@ -138,8 +126,6 @@ def camera_path_data(poses, width, height, fps, keyframes=(), moments=()):
     poses : sequence of (float array (4, 4)). For each frame capture_from_camera
         with OpenCV axes (x right, y down, z forward) and the angle of the
         picture's height [rad].
-    width, height : int [px]
-    fps : float [1/s]
     keyframes : sequence of (float array (4, 4), float, float or None). Pose and
         angle as in `poses`, the seconds from the keyframe before, and the time of
         the rain [s] that it shows, None where time goes on.

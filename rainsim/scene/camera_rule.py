@@ -1,7 +1,5 @@
 """The rule for cameras, wherever they come from: options, files, the page."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -24,12 +22,7 @@ def focal_length(side, fov):
 
 
 def require_camera(camera, label, error=InputError, remedy="correct the file"):
-    """Return a `Camera`, or raise `error` that begins with `label` unless it can be drawn from.
-
-    Raises InputError: Or what `error` is: if the picture's sides, its angle of
-        view, its principal point or the pose are out of range, or the pose is no
-        rotation and translation.
-    """
+    """Return a `Camera`, or raise `error` that begins with `label` unless it can be drawn from."""
     fault = _fault(camera)
     if fault:
         raise error(f"{label} {fault}; {remedy}")

@@ -5,8 +5,6 @@ Four formats are read: `cameras.json` of the original 3D Gaussian Splatting code
 camera paths of nerfstudio, see `rainsim.scene.camera_path`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path, PurePosixPath

@@ -4,8 +4,6 @@ COLMAP's camera axes (x right, y down, z forward) and pixel centres are ours. An
 world points to its camera.
 """
 
-from __future__ import annotations
-
 import math
 import mmap
 import struct
@@ -137,7 +135,6 @@ def read_model(folder):
 def read_lenses(folder):
     """Return the models and distortion coefficients of a sparse model's cameras.
 
-    folder : path-like. As for `read_model`.
     Returns set of (str, tuple of float). COLMAP's name of each model and its
         parameters after the principal point.
     """
@@ -149,10 +146,7 @@ def read_lenses(folder):
 
 
 def _short_names(names):
-    """Return names for cameras from the file names of their pictures: without folder and suffix.
-
-    If two cameras would get the same name, all keep the folder and lose the suffix only.
-    """
+    """Return camera names from file names, without folder and suffix where that is unique."""
     paths = [PurePosixPath(name) for name in names]
     stems = [path.stem for path in paths]
     if len(set(stems)) == len(stems):

@@ -4,8 +4,6 @@ A scene folder holds `scene.json` (name, source, notes, cameras, ground frame) a
 activated arrays of Splats, uncompressed), and where there are any `actors.npz` and `classes.npz`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -92,7 +90,6 @@ def import_scene(
         `up` and the scale are then ignored.
     spz_frame : {"rub", "rdf"}, optional. Axes of an SPZ file that does not name
         them; by default those in which the cameras see.
-    Returns Scene
     """
     path, camera_notes = Path(path), []
     if actors_file(path) is not None:
@@ -198,11 +195,7 @@ def _kept_frame(source_hash, splats, *given):
 def override_ground_frame(
     scene, up=None, meters_per_unit=None, camera_height=None, ground_frame=None
 ):
-    """Return the scene with another ground frame, up or scale; see `import_scene`.
-
-    With a new `up` the ground is searched again; a scale that was not assumed is kept unless a new
-    one is given. A new scale alone leaves the ground plane and the axes unchanged.
-    """
+    """Return the scene with another ground frame, up or scale; see `import_scene`."""
     if ground_frame is not None:
         return in_ground_frame(scene, _as_frame(ground_frame, scene.source_hash))
     frame = scene.ground_frame
@@ -319,11 +312,7 @@ def _file_name(path, model):
 
 
 def write_scene(folder, scene):
-    """Write a scene folder; both files are replaced together, when both are whole.
-
-    folder : path-like. Made if it does not exist; other files in it stay as they
-        are.
-    """
+    """Write a scene folder; both files are replaced together, when both are whole."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     if scene.pages is not None:
@@ -403,12 +392,7 @@ def scene_to_data(scene):
 
 
 def scene_from_data(data, splats, where, name=""):
-    """Return the Scene of its splats and of data from `scene_to_data`, without a source.
-
-    data : dict
-    where : path-like or str. Where the data come from, for messages.
-    name : str. Of the scene, if the data have none.
-    """
+    """Return the Scene of splats and `scene_to_data`'s data; `where` names these in messages."""
     cameras, notes = data.get("cameras"), data.get("notes")
     sun = number_array(data.get("captured_sun"), (3,))
     origin = number_array(data.get("origin"), (3,))

@@ -3,8 +3,6 @@
 glTF has seconds and no frames, one lens for a whole animation, and no shift of it.
 """
 
-from __future__ import annotations
-
 import base64
 import binascii
 import json

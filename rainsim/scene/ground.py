@@ -5,8 +5,6 @@ with opacity; cameras stand above it and give its sign; its scale follows from a
 said loudly, from an assumed height of the cameras.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -168,11 +166,7 @@ def _scale(heights, meters_per_unit, camera_height, notes):
 
 
 def ground_axes(up, cameras):
-    """Return the rotation whose rows are x, y and z of the ground frame in the capture frame.
-
-    `up` is z; x is as near as possible to the first camera's view, without cameras to the
-    capture's x or y axis.
-    """
+    """Return the rows x, y, z of the ground frame: x nearest to the first view, z `up`."""
     if len(cameras):
         wanted = [cameras[0].forward, cameras[0].image_up]
         least = 0.1  # a view within 6 degrees of straight down has no horizontal direction
@@ -245,7 +239,6 @@ def scale_from_length(a, b, length):
 def with_fall(frame, fall, direction):
     """Return a ground frame whose ground slopes instead of being level.
 
-    frame : GroundFrame. With the ground plane level.
     fall : float. Metres down per metre; patios are laid with 0.01 to 0.03.
     direction : float [rad]. The way it goes down, from x towards y.
     """
@@ -360,9 +353,6 @@ def read_ground_frame(path, source_hash=""):
 
 
 def write_ground_frame(path, frame, source_hash=""):
-    """Write a GroundFrame as a JSON file that reads back exactly.
-
-    `source_hash` is that of the scene whose ground it is.
-    """
+    """Write a scene's GroundFrame as a JSON file that reads back exactly."""
     source = {"source_sha256": source_hash} if source_hash else {}
     write_json(path, {VERSION_KEY: VERSION, **source, **ground_frame_to_dict(frame)})

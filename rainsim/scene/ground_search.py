@@ -1,7 +1,5 @@
 """The search for the ground among a capture's splats, level as its cameras were held."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -55,7 +53,6 @@ def ground_below(splats, cameras, up, seed):
 
     cameras : list of Camera. In the capture frame, at least one.
     up : array (3,) or None. Roughly up, unit.
-    seed : int
     Returns plane : Plane
         centre : array (3,) [capture units]
         placed : bool array (n,). Which cameras are not misplaced.
@@ -149,10 +146,7 @@ def looks_down(cameras, up):
 
 
 def mean_image_up(cameras):
-    """Return the cameras' mean image-up, a unit vector; None if they do not agree, or without any.
-
-    They do not agree if pictures were taken with the camera on its side, all around.
-    """
+    """Return the cameras' mean image-up, a unit vector; None without any that they share."""
     if not len(cameras):
         return None
     mean = np.mean([camera.image_up for camera in cameras], axis=0)

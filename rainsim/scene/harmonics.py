@@ -1,7 +1,5 @@
 """Real spherical harmonics of splats as matrices: their values, and how they turn with an actor."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np
@@ -43,9 +41,6 @@ def turned(sh, rotation):
     of one degree among themselves; the mixing matrix is found from the functions' values at a fixed
     set of directions, by least squares, which is exact to rounding.
 
-    sh : float32 array (n, k, 3). k = 1, 4, 9 or 16 coefficients, see
-        `rainsim.scene.types.Splats`.
-    rotation : float64 array (3, 3)
     Returns float32 array (n, k, 3)
     """
     out = sh.copy()

@@ -1,7 +1,5 @@
 """The content of a splat file in numbers: for `rainsim import --info` and for scripts."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ brighter it is than the road, so a description of the scene names its lamps, and
 made as bright as such lamps are.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -32,9 +30,7 @@ DULLEST = 1e-3  # linear luminance that a colour counts with at least
 class Lamp(NamedTuple):
     """A ball in which bright splats are a lamp's.
 
-    kind : str. A key of `LUMINANCE`.
     centre : float64 array (3,). In the frame and unit of the splats.
-    radius : float
     """
 
     kind: str
@@ -45,7 +41,6 @@ class Lamp(NamedTuple):
 def with_lamps(splats, lamps):
     """Return splats whose lamps shine, and how many splats each lamp has.
 
-    lamps : sequence of Lamp
     Returns splats : Splats
         counts : list of int
 

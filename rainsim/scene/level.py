@@ -6,8 +6,6 @@ left over: a camera that a solver misplaced gets next to none. Upright walls are
 The splats then need to tell only how far below the cameras the ground lies.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -58,12 +56,8 @@ class Support(NamedTuple):
 def level_of(cameras, reach, up=None, walls=()):
     """Return the `Level` of cameras; None if they are too few or do not agree on any up.
 
-    cameras : sequence of Camera. In the capture frame.
     reach : float [capture units]. Distance to what they look at. A path that is
         short beside it says nothing.
-    up : array (3,), optional. Roughly up, unit; otherwise up in the pictures, or
-        the views reversed where those look down.
-    walls : array (m, 3), optional. Unit normals of upright planes.
     """
     if len(cameras) < FEWEST:
         return None
@@ -127,11 +121,6 @@ class GroundBelow:
     """The splats below a path of cameras, asked for the ground at one height or another.
 
     Cells vote and not splats, which lie in veils before cameras where few pictures overlap.
-
-    points, weights : array (n, 3) and (n,), float64. Splats that may be ground
-        [capture units].
-    eyes : float64 array (m, 3)
-    up : float64 array (3,)
     """
 
     def __init__(self, points, weights, eyes, up):

@@ -1,7 +1,5 @@
 """Scenes by name or path: the user's own folders first, then the built-in stand-ins."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from importlib import import_module

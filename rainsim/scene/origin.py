@@ -4,8 +4,6 @@ float32 has steps of half a metre at 5,000 km, where northings of UTM lie. Splat
 therefore kept near 0, and the whole numbers that were taken off with the scene.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.io.files import MAX_LENGTH
@@ -54,10 +52,7 @@ def moved(cameras, shift):
 
 
 def near_origin(cameras, origin):
-    """Return cameras as the splats lie from which `origin` was taken off.
-
-    Cameras in the large coordinates are moved; those that the program wrote are near already.
-    """
+    """Return cameras as the splats lie from which `origin` was taken off."""
     shift = np.array(origin)
     if not len(cameras) or not shift.any():
         return list(cameras)

@@ -4,8 +4,6 @@ What is kept stays below a limit in bytes; what was used longest ago goes first.
 was kept or is read again changes no number.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
@@ -30,10 +28,8 @@ ALWAYS = -1  # number of the leaf that stands for the splats which are always dr
 class Pages:
     """The runs of a `ChunkTree`, read when needed.
 
-    tree : ChunkTree
     memory : float [bytes]. That the splats may take, see `limit`.
     change : Change, optional. What is drawn in place of the capture's own splats.
-    tree : ChunkTree
     memory, picture_memory : float [bytes]
     kept : Kept. Prepared pages, such as `lod.paged.Page`; shared by all that
         draw.
@@ -71,11 +67,7 @@ class Pages:
         return self.tree.environment is not None or self.change is not None
 
     def splats(self, leaf, level):
-        """Return the usable Splats of a leaf at a level; of ALWAYS those that are always drawn.
-
-        Raises InputError if a chunk is missing, damaged, or does not fit the
-            index.
-        """
+        """Return the usable Splats of a leaf at a level; of ALWAYS those that are always drawn."""
         found = self.read.get((leaf, level))
         if found is None:
             with self._reading:
@@ -85,10 +77,7 @@ class Pages:
         return found
 
     def read_ahead(self, wanted):
-        """Begin to read runs on another thread, unless it still reads those asked for before.
-
-        wanted : sequence of (leaf, level)
-        """
+        """Begin to read runs (leaf, level) on a thread, unless it still reads earlier ones."""
         if self._ahead is not None and not self._ahead.done():
             return
         missing = [key for key in wanted if not self.read.has(key)]
@@ -200,7 +189,6 @@ def levels_at(tree, wanted):
     A leaf without that level shows the next finer one that it has; without a finer one the next
     coarser.
 
-    tree : ChunkTree
     wanted : int or array (leaves,)
     """
     there, level = tree.file != NONE, np.arange(tree.levels)
@@ -215,12 +203,7 @@ def size_of(splats):
 
 
 class Kept:
-    """Values by key, up to a limit in bytes; the least recently used goes first.
-
-    most, size, peak : float [bytes]. The limit, what is kept now, and the most
-        that was.
-    made : int. How often something was put in.
-    """
+    """Values by key, up to a limit in bytes; the least recently used goes first."""
 
     def __init__(self, most):
         self.most, self.size, self.peak, self.made = most, 0, 0, 0

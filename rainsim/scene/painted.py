@@ -4,8 +4,6 @@ They lie in the ground frame with a place and a cell of their own, so that a map
 and extent takes them; names stand for the classes, because codes may change between versions.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 
@@ -29,12 +27,10 @@ ARRAYS = {
 class PaintedClasses:
     """Classes of the ground as a user has them.
 
-    name : tuple of str. Of the classes.
     cells : int16 array (ny, nx). Index of each cell's class in `name`, -1 where
         it is left to the program; row 0 in the south.
     origin : tuple of float [m]. x, y of the outer corner of cell (0, 0) in the
         ground frame.
-    spacing : float [m]
     """
 
     name: tuple

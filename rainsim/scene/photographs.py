@@ -4,8 +4,6 @@ Two results of their EXIF are kept, metres per unit and the direction of the sun
 are neither written nor said.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 import re

@@ -3,20 +3,13 @@
 Files of NeRF's synthetic scenes do: their reader measured the pictures.
 """
 
-from __future__ import annotations
-
 from rainsim.errors import InputError
 
 NERF_SIDE = 800  # px, of the pictures of NeRF's synthetic scenes
 
 
 def with_size(data, path):
-    """Return the data of a transforms.json with the size of its pictures, and notes on that size.
-
-    data : object. As read from JSON; anything but frames without a size comes
-        back as it is.
-    path : Path. The file; pictures are looked for from its folder.
-    """
+    """Return the data of a transforms.json with its pictures' size, and notes on that size."""
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or data.get("camera_angle_x") is None:
         return data, []

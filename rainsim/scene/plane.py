@@ -79,9 +79,6 @@ def find_plane(points, weights, eyes, up, max_angle, radius, seed=0, thickness=T
     """Find the lowest well-supported plane among weighted points.
 
     points : float64 array (n, 3) [capture units]
-    weights : float64 array (n,). Positive.
-    eyes : float64 array (m, 3) [capture units]. Viewpoints that must stand above
-        the plane; m may be 0.
     up : float64 array (3,), or None. Roughly up, unit length. Without it and
         without eyes most points lie above the plane.
     max_angle : float [radians]. How far the normal may lean from `up`.
@@ -288,14 +285,7 @@ def _judged(points, weights, normal, offset, threshold, radius):
 
 
 def upright_planes(points, eye, up, reach, seed=0):
-    """Return unit normals (n, 3) of the sure walls among points, at most four.
-
-    points : float64 array (n, 3) [capture units]
-    eye : float64 array (3,) [capture units]. Middle of the cameras.
-    up : float64 array (3,). Unit, off by less than `LEANING`.
-    reach : float [capture units]. Distance to what the cameras look at.
-    seed : int. Of the random triplets.
-    """
+    """Return unit normals (n, 3) of the sure walls among points, at most four."""
     rng, threshold, walls = np.random.default_rng(seed), WALL_THICKNESS * reach, []
     left = _places(points - eye, WALLS_WITHIN * reach, threshold)
     left = left[:: max(1, math.ceil(len(left) / MOST_PLACES))]

@@ -12,8 +12,6 @@ stand in any order; unknown ones are ignored. These variants are recognised by t
 PGSR writes the original properties.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -100,12 +98,7 @@ def _origin(path, vertex):
 
 
 def plain_blocks(path, header, rows=BLOCK):
-    """Yield the Splats of an uncompressed PLY in parts, so that memory does not grow with the file.
-
-    rows : int. Splats of a part, at most.
-    Raises InputError: As `read_splats` does; for unusable splats after the last
-        part.
-    """
+    """Yield the Splats of an uncompressed PLY in parts of `rows`; InputError as `read_splats`."""
     vertex = _require_splats(path, header)
     layout, broken, origin = _layout(path, vertex), 0, _origin(path, vertex)
     for start in range(0, vertex.count, rows):
@@ -206,10 +199,7 @@ def _read_rows(path, vertex, layout, origin):
 
 
 def _columns(rows, taken):
-    """Return a function from property names to their float32 values of shape (n, names).
-
-    `taken` is what is taken off float64 values first, by name.
-    """
+    """Return a function from property names to their float32 values of shape (n, names)."""
     fields = rows.dtype.fields
     if all(kind == np.dtype("<f4") for kind, _ in fields.values()):
         table = rows.view("<f4").reshape(len(rows), -1)

@@ -1,7 +1,5 @@
 """Headers of PLY files: which elements lie where in the file, checked against its size."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 
@@ -23,11 +21,7 @@ ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """One element of a PLY file: `count` rows of type `row` from byte `offset` on.
-
-    `row` is None for an element with lists, whose size is not known, and `offset` is None
-    behind one.
-    """
+    """`count` rows of type `row` from byte `offset` on; both None where lists hide the size."""
 
     name: str
     count: int

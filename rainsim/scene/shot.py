@@ -5,8 +5,6 @@ frame is, whatever the file has. Blender's cameras come from `examples/blender_c
 writes a `transforms.json` with one more key, `shot`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,8 +32,6 @@ class Shot:
     cameras : tuple of Camera. One per frame, in metres with z up; a single one if
         nothing changes.
     fps : float [1/s] or None. None if the file does not say.
-    first : float. Number of the first frame.
-    notes : tuple of str
     """
 
     cameras: tuple

@@ -1,7 +1,5 @@
 """A camera of a shot as its file has it: its lens, its place, and the world that it stands in."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ Two valid files need not be of one place: cameras of another capture, splats tha
 or scaled on export. What the cameras see tells it before anything is computed.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -48,10 +46,7 @@ def seen_shares(splats, cameras):
 
 
 def require_sight(path, splats, cameras):
-    """Return a list with a note if many cameras see next to none of the splats.
-
-    Raises InputError if all of them do.
-    """
+    """Note that many cameras see next to none of the splats; InputError if all of them do."""
     chosen = _some_of(cameras)
     if not chosen:
         return []

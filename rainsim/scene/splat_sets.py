@@ -1,7 +1,5 @@
 """Sets of splats: several joined to one, and how their splats are turned."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

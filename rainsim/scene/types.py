@@ -9,8 +9,6 @@ camera frame : x right, y down, z forward. The centre of pixel (row, column) is 
     (column + 0.5, row + 0.5).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 

@@ -1,20 +1,10 @@
 """Cameras of USD stages, read by OpenUSD's own library, from the extra `usd`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import InputError, RainsimError
 from rainsim.io.files import MAX_LENGTH, require_file
-from rainsim.scene.shot_camera import (
-    MOST_FPS,
-    Z_UP,
-    Lens,
-    World,
-    camera_at,
-    frame_times,
-    require_chosen,
-)
+from rainsim.scene import shot_camera
 from rainsim.scene.usd_guard import apart, opened, require_types
 
 INSTALL = 'pip install "rainsim[usd]"'
@@ -31,10 +21,7 @@ def require_usd(purpose):
 
 
 def read_usd(path, name=None):
-    """Return the cameras of the frames of a stage, in its own axes and units, and its `World`.
-
-    `name` is that of a camera's prim or its whole path.
-    """
+    """Return the cameras of a stage's frames, in its axes and units, and its `World`."""
     require_file(path, "a USD file")
     require_usd(f"{path} is USD; reading it")
     return apart(_read, path, name)
@@ -53,7 +40,7 @@ def _cameras(path, stage, name):
         for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
         if prim.IsA(UsdGeom.Camera)
     ]
-    index = require_chosen([str(prim.GetPath()) for prim in prims], name, path)
+    index = shot_camera.require_chosen([str(prim.GetPath()) for prim in prims], name, path)
     require_types(path, prims[index])
     world = world_of(stage, path)
     times = _times(stage, prims[index], world, path)
@@ -68,7 +55,7 @@ def world_of(stage, path):
     from pxr import UsdGeom
 
     up, meters = str(UsdGeom.GetStageUpAxis(stage)), UsdGeom.GetStageMetersPerUnit(stage)
-    if up not in Z_UP:
+    if up not in shot_camera.Z_UP:
         raise InputError(f"{path} has the up axis {up}; it must be Y or Z; export it again")
     if not 0 < meters < MAX_LENGTH:  # false for NaN
         raise InputError(f"{path} has {meters:g} metres per unit; it must be above 0; correct it")
@@ -76,9 +63,9 @@ def world_of(stage, path):
     for key in ("framesPerSecond", "timeCodesPerSecond"):
         if fps is None and stage.HasAuthoredMetadata(key):
             fps = float(stage.GetMetadata(key))
-            if not 0 < fps < MOST_FPS:
+            if not 0 < fps < shot_camera.MOST_FPS:
                 raise InputError(f"{path}: {key} is {fps:g}; it must be above 0; correct it")
-    return World(up, meters, fps, 0.0)
+    return shot_camera.World(up, meters, fps, 0.0)
 
 
 def _times(stage, prim, world, path):
@@ -96,7 +83,7 @@ def _times(stage, prim, world, path):
         if not samples:
             return [float(Usd.TimeCode.Default().GetValue())]
         begin, end = min(samples), max(samples)
-    return frame_times(begin, end, codes / (world.fps or codes), path)
+    return shot_camera.frame_times(begin, end, codes / (world.fps or codes), path)
 
 
 def _camera(path, stage, prim, time):
@@ -119,11 +106,11 @@ def _camera(path, stage, prim, time):
     size, pixel, policy = _rendered(stage, prim)
     if size:
         wide, tall = _conformed(wide, tall, size[0] * pixel / size[1], policy)
-    lens = Lens(
+    lens = shot_camera.Lens(
         found.focalLength / wide, -found.horizontalApertureOffset / wide,
         found.verticalApertureOffset / tall, wide / tall, size,
     )  # fmt: skip
-    return camera_at(path, label, matrix, lens)
+    return shot_camera.camera_at(path, label, matrix, lens)
 
 
 def _rendered(stage, prim):

@@ -5,8 +5,6 @@ composes references of references into any number of prims, and takes memory for
 damaged file has. So names and prims are looked at first, in a process of its own that may end.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import re

@@ -7,8 +7,6 @@ in the ground frame (x and y level, z up) unless a name says otherwise; the came
 the right, y down and z along the view axis.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache, wraps
 from typing import NamedTuple
 
@@ -129,10 +127,7 @@ def corner_rays(camera):
 
 @kept_for_lens
 def edge_planes(camera):
-    """Return inward unit normals of a picture's left, right, top and bottom, camera frame.
-
-    Returns float64 array (4, 3)
-    """
+    """Return inward unit normals (4, 3) of a picture's left, right, top and bottom edges."""
     planes = np.array(
         [
             [camera.fx, 0, camera.cx],

@@ -1,7 +1,5 @@
 """Hits of beams on the actors of a scene, each where it is as its pulse passes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

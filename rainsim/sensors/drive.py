@@ -1,7 +1,5 @@
 """A lidar's turns in each rain, and the folder that they are written to."""
 
-from __future__ import annotations
-
 import re
 import sys
 
@@ -58,11 +56,7 @@ class LidarFolder:
                 )
 
     def begin(self, content, count):
-        """Find what is kept of an unfinished scan, or remove the files of an earlier one.
-
-        `content` holds plain JSON values that the turns depend on, `count` is that of the turns of
-        all rains.
-        """
+        """Find what is kept of a scan of `count` turns, or remove an earlier one's files."""
         self.fingerprint, before = fingerprint(content), self._before or {}
         if self._resumes and before:
             if before.get("fingerprint") != self.fingerprint:

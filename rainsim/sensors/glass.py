@@ -5,8 +5,6 @@ they are too heavy and are wiped away. A ray through a cap is refracted where it
 and where it leaves, and looks up a wide picture of the rainy scene; the caps are far out of focus.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -117,10 +115,7 @@ def cap_radius(volume, angle):
 
 
 def pane_flux(field, pane, camera):
-    """Return how many drops of each class hit a pane, (CLASSES,) [1/(m2 s)].
-
-    The pane is the one before a camera in the ground frame.
-    """
+    """Return how many drops of each class hit a pane before a camera, (CLASSES,) [1/(m2 s)]."""
     normal = pane.axes()[2] @ camera.camera_from_world[:3, :3]
     ahead = camera.forward * (1, 1, 0)
     ahead = ahead / max(np.linalg.norm(ahead), 1e-9)
@@ -219,11 +214,7 @@ def refracted(rays, point, place, centre, radius, pane):
     The glass is thin and bends nothing; water begins at the pane's outer side and ends at the cap's
     sphere.
 
-    rays : array (n, 3). Unit, camera frame.
-    point : array (n, 3) [m]. Where they meet the pane.
     place : array (n, 2) [m]. The same along the pane.
-    centre : array (n, 2) or (2,) [m]. Of the disc of each ray's cap.
-    radius : array (n,), or float [m]
     Returns out : array (n, 3). Unit directions; NaN where all light is reflected
         back into the water.
         leave : array (n, 3) [m]. Where they leave the water.

@@ -5,8 +5,6 @@ looked up in that: colours are interpolated, depths and ids are taken from the n
 flow leads from a distorted place to a distorted place. Flow is interpolated on one surface.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

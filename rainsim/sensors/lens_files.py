@@ -1,7 +1,5 @@
 """Lens distortion from the files that a capture's cameras came with."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rainsim.errors import InputError, ParameterError, shown
@@ -16,10 +14,7 @@ SAME = "all must be of one lens; give its coefficients, such as opencv:k1,k2,p1,
 
 
 def lens_named(text):
-    """Return the `Lens` of a text, or of a transforms.json or COLMAP model that it names.
-
-    None if the file's cameras are pinholes.
-    """
+    """Return the `Lens` of a text, or of a transforms.json or COLMAP model; None for pinholes."""
     if ":" in text and not Path(text).exists():
         return lens_of(text)
     path = Path(text)

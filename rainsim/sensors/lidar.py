@@ -6,8 +6,6 @@ stands behind. What the rain between takes away is its mean extinction, as in LI
 are where they are as each pulse passes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -92,10 +90,7 @@ class LidarScanner:
         return self._moving.at(time)
 
     def trace(self, origin, direction, before=0.0, time=0.0):
-        """Return the `Surface` that rays meet; ground frame, metres, unit directions.
-
-        `before` [m] is the way to the origins, `time` [s] when each pulse is sent.
-        """
+        """Return the `Surface` that rays meet; `before` [m] is the way to their origins."""
         frame, unit = self.frame, self.frame.meters_per_unit
         way_before = np.full(len(origin), before, np.float64) / unit
         place, toward = frame.to_capture(origin), direction @ frame.rotation
@@ -225,11 +220,7 @@ class LidarScanner:
 
 
 def drops_in_beams(lidar, pose, drops, local, when):
-    """Return which beams have which drops in them as their pulses pass.
-
-    Drops are those of mid-turn, `local` and `when` those of `Lidar.beams`. The result is the beam,
-    the distance and the diameter [m] of each.
-    """
+    """Return the beam, distance and diameter [m] of each drop in a beam as its pulse passes."""
     period, columns, channels = 1 / lidar.rate, lidar.columns, len(lidar.elevation)
     half = 0.5 * lidar.divergence
     start = drops.position - pose.position - drops.velocity * (0.5 * period)
@@ -282,11 +273,7 @@ def _scan(lidar, local, when, label, distance, bright, power, clear, rng):
 
 
 def pose_at(camera, height=None, velocity=(0.0, 0.0, 0.0)):
-    """Return the level `Pose` at a camera's place, ahead being where the camera looks.
-
-    The camera is in the ground frame; `height` [m] is above z = 0, by default the camera's own;
-    `velocity` is in m/s.
-    """
+    """Return the level `Pose` at a camera's place, looking ahead, `height` [m] over z = 0."""
     ahead = camera.forward * (1, 1, 0)
     if np.linalg.norm(ahead) < 1e-6:  # it looks straight down: its picture's upper edge is ahead
         ahead = camera.image_up * (1, 1, 0)

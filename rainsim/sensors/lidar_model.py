@@ -7,8 +7,6 @@ incidence, times the share of the beam's section that it fills. So has LISA (Kil
 et al. 2021, arXiv 2107.07004, and pylisa/lisa.py), which `rainsim.sensors.lisa` draws.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ least power is reported. The formulas are LISA's; the spectrum is that of our ra
 track it, so that both differ in the drops alone.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -39,10 +37,8 @@ def scattered_share(distance, reflectivity, lidar, spectrum):
 def loud_drops(distance, threshold, lidar, spectrum):
     """Return the number [1/m3] of drops that echo louder than a power [1/m2] at ranges [m].
 
-    distance : array (n,) [m]
     threshold : float [1/m2]. See `lidar_model.echo_power`; a sensor's is its
         `least_power`.
-    spectrum : RainSpectrum
     """
     # The least diameter that echoes louder than the threshold from each range.
     loss = np.exp(2 * extinction_of(spectrum) * distance)

@@ -1,7 +1,5 @@
 """The drops around a sensor: of each size those that are near enough to matter."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.drops import Drops
@@ -12,11 +10,7 @@ from rainsim.rain.impacts import run_listing
 
 
 def near_drops(field, centre, reach, time, surfaces):
-    """Return the `Drops` of each size class within a distance of a place.
-
-    At `time` [s], within `reach`, (CLASSES,) [m], of `centre`, (3,) [m]. A drop whose way down the
-    surfaces blocked before is not there.
-    """
+    """Return the `Drops` of each class within `reach` [m] of a place, not blocked on their way."""
     centre, around = np.asarray(centre, np.float64), np.asarray(reach, np.float64)[:, None]
     first, last = field.cubes_in(centre - around, centre + around, time)
     tasks = poisson_cells.slab_tasks(first, last)

@@ -4,8 +4,6 @@
 sharp and at once: the shutter is the mean of several such pictures, glass and lens change that.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -142,10 +140,6 @@ class Taking:
     """The frames of a sequence as its optics take them.
 
     cameras : sequence of Camera. As `FrameSequence` takes them.
-    names : sequence of str. Layers that reports hold.
-    backend : {"cpu", "cuda"}
-    exr : ExrFormat or None
-    drawn : list of Camera. The pinhole cameras that are drawn, one for each.
     """
 
     def __init__(self, optics, cameras, scene, config, names, backend="cpu", exr=None):

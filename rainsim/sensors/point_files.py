@@ -7,8 +7,6 @@ https://pointclouds.org/documentation/tutorials/pcd_file_format.html. Points are
 frame in metres. Lost pulses have no row; in a PCD, which holds all pulses, they are NaN.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.sensors.lidar_model import LOST

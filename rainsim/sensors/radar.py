@@ -5,8 +5,6 @@ logarithm of the frequency, for horizontal and vertical polarization (Recommenda
 2005, equations 1 to 3, tables 1 to 4). Elevation and tilt of the path mix them (equations 4, 5).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

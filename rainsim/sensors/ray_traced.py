@@ -9,8 +9,6 @@ pixels^2 at the distance where it stands, as the picture does. What differs from
 each ray projects on its own, where the picture takes one projection for all pixels of a splat.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -74,12 +72,10 @@ class Traced:
     """Results of traced rays; distances from their virtual eye (see `Tracer.trace`), capture units.
 
     color : float32 array (n, 3). Display-referred, over black.
-    alpha : float32 array (n,)
     distance : float32 array (n,). Mean of the splats' centres; infinite where
         alpha is below 0.02.
     plane_distance : float32 array (n,). To the blended plane of the splats.
     normal : float32 array (n, 3). Unit, capture frame, towards the ray's origin.
-    hits : int32 array (n,). Splats blended.
     """
 
     color: np.ndarray
@@ -118,8 +114,6 @@ class Tracer:
         before : array (n,) or float. Length of the way from the eye to the
             origin: distances count from the virtual eye that far behind the
             origin, and a splat there is as wide as the picture would widen it.
-        pixel : array (n,) or float. Width of the picture's pixel over the
-            distance; 0: splats are not widened.
         segment : float. Length of ray that is searched at first; it changes only
             the speed.
         plane : array_like of shape (4,), optional. (a, b, c, d): splats whose
@@ -129,7 +123,6 @@ class Tracer:
             from; by default from each ray's own virtual eye.
         stop : float. Transmittance at which a ray ends: what lies behind counts
             in no mean.
-        Returns Traced
         """
         n = len(origin)
         out = Traced(
@@ -225,10 +218,7 @@ def ray_from(origin, direction, way, per_focal):
 
 @device_function
 def across(x, y, z):
-    """Return two unit vectors that stand upright on the unit vector and on each other.
-
-    Duff et al. 2017, JCGT 6(1).
-    """
+    """Return two unit vectors upright on it and on each other (Duff et al. 2017, JCGT 6(1))."""
     sign = ONE if z >= ZERO else -ONE
     a = -ONE / (sign + z)
     b = x * y * a
@@ -274,12 +264,7 @@ def inverse(d):
 
 @lean_function
 def collect(tree, ray, plane, begin, end, stack, hit_out, place_out, alpha_out):
-    """List the splats that a ray meets and whose centres lie from `begin` to `end` along it.
-
-    `stack` (STACK,) is working memory; `plane` as in `Tracer.trace`.
-
-    Returns int. Their number; negative if there are more than fit.
-    """
+    """List the splats a ray meets whose centres lie from `begin` to `end`; negative: too many."""
     record, box, child = tree.record, tree.box, tree.child
     i0, i1, i2 = inverse(ray.d0), inverse(ray.d1), inverse(ray.d2)
     p0, p1, p2, p3 = plane[0], plane[1], plane[2], plane[3]

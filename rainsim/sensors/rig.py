@@ -3,8 +3,6 @@
 The vehicle's frame has x ahead, y left and z up, in metres. A path of cameras says where it drives.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from fractions import Fraction
@@ -136,10 +134,7 @@ class Rig:
 
 
 def read_rig(path, fps):
-    """Return the `Rig` of a TOML file; sensors without a rate have that of the path, `fps` [1/s].
-
-    ParameterError, InputError if the file breaks a rule.
-    """
+    """Return the `Rig` of a TOML file; sensors without a rate have the path's `fps` [1/s]."""
     path = Path(path)
     data = parsed_toml(read_text(path, "a rig", MOST_BYTES), str(path))
     for key in data:

@@ -6,8 +6,6 @@ MOST_SHIFT in 99 % of its pixels, and it is read within half the exposure, so th
 by at most a quarter of their length. A band that turns out to be too high is drawn again, lower.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -138,12 +136,7 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), rows=None, 
 
 
 def _speed_in(camera, motion, depth, report):
-    """Return how fast a picture's contents move over it [px/s]: COUNTED % of its pixels are slower.
-
-    camera : Camera. In the ground frame.
-    depth : float32 array (height, width) [m]
-    report : FrameReport. Of a scene with actors it holds the layer `actor_id`.
-    """
+    """Return how fast a picture's contents move [px/s]: COUNTED % of its pixels are slower."""
     turn, ray = camera.camera_from_world[:3, :3], pixel_rays(camera)
     near = np.where(np.isfinite(depth), 1 / depth, 0.0)[..., None]
     drift = np.cross(motion.turning, ray) - near * (turn @ motion.velocity)

@@ -1,7 +1,5 @@
 """Time of the rain: it plays, stands still, steps or runs in a loop, at true speed or slower."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 
@@ -13,10 +11,6 @@ class PlayClock:
 
     frames : int. Number of states; after the last one follows the first, or the
         clock stops.
-    fps : float [1/s]. States in a second of rain.
-    index : int
-    speed : float. Of the rain over true speed, above 0.
-    plays, loops : bool
     """
 
     frames: int

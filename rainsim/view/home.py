@@ -1,7 +1,5 @@
 """Files to take home, from which `rainsim run` draws the same picture, and its command."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import signal
@@ -31,11 +29,7 @@ END_WAIT = 20.0  # s for a run that was interrupted to write its record
 
 @dataclass(frozen=True)
 class Saved:
-    """The folder that was written, and the command that draws from it.
-
-    folder : Path
-    command : list of str. The arguments of `rainsim`.
-    """
+    """The folder that was written, and the arguments of `rainsim` that draw from it."""
 
     folder: Path
     command: list = field(default_factory=list)
@@ -50,9 +44,6 @@ class Home:
     """Writes files to take home into folders of its own; no earlier file is replaced.
 
     folder : Path. Made when something is first written.
-    scene : str. As it is typed after --scene.
-    options : sequence of str. More of the command line that is to be repeated:
-        cameras, backend, threads.
     say : callable, optional. say(line) prints a command in the terminal that
         shows the page.
     """
@@ -62,10 +53,7 @@ class Home:
         self.say = say or (lambda line: None)
 
     def save_shot(self, session, view, index, width, height):
-        """Write the picture of a view as the command draws it; return the folder as `Saved`.
-
-        The parameters are those of `save_view`.
-        """
+        """Write the picture of a view as the command draws it; return the folder as `Saved`."""
         session.make()
         picture, _ = session.draw(view, width, height, index)
         folder = self._new("shot")
@@ -73,12 +61,7 @@ class Home:
         return self._write_view(session, folder, view, index, (width, height))
 
     def save_view(self, session, view, index, width, height):
-        """Write the files for the command of one picture and draw nothing; return them as `Saved`.
-
-        view : Viewpoint
-        index : int. Of the state.
-        width, height : int [px]
-        """
+        """Write the files for one picture of a state and draw nothing; return them as `Saved`."""
         return self._write_view(session, self._new("view"), view, index, (width, height))
 
     def _write_view(self, session, folder, view, index, size):
@@ -91,10 +74,7 @@ class Home:
         return self._write(session, folder, config, data, frames)
 
     def save_path(self, session, keyframes, width, height, video=False):
-        """Write a path through keyframes and the settings along it; return the folder as `Saved`.
-
-        The other parameters are those of `save_shot`; with `video` the command makes one.
-        """
+        """Write keyframes' path and the settings along it; return the folder as `Saved`."""
         config = replace(path_config(keyframes, session.config), width=width, height=height)
         views = smooth_path(keyframes, config.fps)
         poses = [(session.pose_of(view), view.fov) for view in views]
@@ -176,7 +156,7 @@ class CommandRun:
     """A `rainsim` command in a process of its own, with its progress."""
 
     def __init__(self, saved):
-        self.saved, self._said = saved, ""
+        self.saved, self.last_line = saved, ""
         self.frames = _frames_of(saved.command)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "rainsim", *saved.command], stdout=subprocess.DEVNULL,
@@ -189,19 +169,13 @@ class CommandRun:
         folder = self.saved.folder / DRAWN / "frames"
         return sum(1 for _ in folder.glob("*.png")) if folder.is_dir() else 0
 
-    def follow(self, say):
-        """Call say(line) with each line of the run's status until it ends; return its exit code."""
+    def follow(self):
+        """Note the last line of the run's status until it ends; return its exit code."""
         for line in self._process.stderr:
             if text := line.strip():
-                self._said = text
-                say(text)
+                self.last_line = text
         self._process.stderr.close()
         return self._process.wait()
-
-    @property
-    def last_line(self):
-        """The last line that the run printed."""
-        return self._said
 
     def cancel(self):
         """Interrupt the run as Ctrl-C does; its finished frames stay."""

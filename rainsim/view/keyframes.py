@@ -1,7 +1,5 @@
 """Keyframes of camera and settings, and the smooth path through them."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, replace
@@ -36,20 +34,14 @@ class Keyframe:
 
 
 def times_of(keyframes):
-    """Return the times [s] of keyframes, (n,); the first is 0.
-
-    Raises ParameterError if one does not come after the one before.
-    """
+    """Return the rising times [s] of keyframes, (n,); the first is 0; else ParameterError."""
     for keyframe in keyframes[1:]:
         require_positive("time between keyframes", keyframe.seconds, "s", "2 is usual")
     return np.concatenate([[0.0], np.cumsum([k.seconds for k in keyframes[1:]])])
 
 
 def placed(keyframes, times):
-    """Return keyframes in the order of their times [s], the first of which becomes 0.
-
-    ParameterError if two have the same time.
-    """
+    """Return keyframes in the order of their times [s], the first of which becomes 0."""
     order = np.argsort(times, kind="stable")
     apart = np.diff(np.asarray(times, np.float64)[order], prepend=0.0)
     if (apart[1:] <= 0).any():
@@ -103,8 +95,6 @@ def smooth_path(keyframes, fps):
     Positions are a cubic spline and turns a rotation spline: neither jumps in speed. The camera
     starts and ends at rest; the angle of view does not overshoot.
 
-    keyframes : sequence of Keyframe
-    fps : float [1/s]
     Returns list of Viewpoint. One per frame; a single one if there is one
         keyframe.
     Raises ParameterError if there is no keyframe, or more frames than a run can
@@ -141,15 +131,7 @@ def _views_at(keyframes, times):
 
 
 def moments_of(keyframes, fps):
-    """Return the number of the rain's state that each frame of a path shows.
-
-    keyframes : sequence of Keyframe
-    fps : float [1/s]
-    Returns tuple of int. Between the times of the keyframes time goes evenly;
-        empty where it goes on by itself.
-    Raises ParameterError if only some keyframes have a time, or one is earlier
-        than that before.
-    """
+    """Return the number of the rain's state that each frame shows; () if time just goes on."""
     times = rain_times_of(keyframes)
     if times is None:
         return ()
@@ -179,11 +161,7 @@ def rain_times_of(keyframes):
 
 
 def timeline_of(keyframes):
-    """Return the `Config.keyframes` of the settings that change from keyframe to keyframe.
-
-    Raises ParameterError if a setting has no value at some keyframes only, or
-        changes while the rain stands still.
-    """
+    """Return the `Config.keyframes` of the settings that change from keyframe to keyframe."""
     changes = []
     for name in CHANGING:
         values = [keyframe.config.value(name) for keyframe in keyframes]
@@ -212,11 +190,7 @@ def timeline_of(keyframes):
 
 
 def path_config(keyframes, config):
-    """Return the settings of a run along a path.
-
-    keyframes : sequence of Keyframe
-    config : Config. What the keyframes do not change is taken from it.
-    """
+    """Return a run's settings along a path: what keyframes do not change is that of `config`."""
     frames = len(smooth_path(keyframes, config.fps))
     steady = config.replace(**{n: keyframes[0].config.value(n) for n in CHANGING})
     moments = moments_of(keyframes, config.fps)

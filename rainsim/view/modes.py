@@ -1,7 +1,5 @@
 """Pictures that a page can show in place of the rain: layers of the frame, maps of the terrain."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.render.aov import AOVS, INDEX, PICTURE, SHARE
@@ -44,13 +42,9 @@ def mode_picture(
 ):  # fmt: skip
     """Return the picture of a mode, and the depth of its pixels.
 
-    name : str. Of `MODES`.
     amount : float [mm]. Of rain, for PUDDLES.
-    shot : tuple. Viewpoint, width [px], height [px] and index of the state.
-    check : callable. See `Session.draw`.
     with_depth : bool. Without it None stands for the depth where it is not at
         hand.
-    simple : bool. See `Session.draw`.
     Returns picture : uint8 array (height, width, 3)
         depth : float32 array (height, width) [m]. Along the view axis, infinite
             for sky.
@@ -58,7 +52,8 @@ def mode_picture(
     wanted = (LAYERS[name],) if name in LAYERS else ("clean",) if name in MAPS else ()
     names = (*wanted, "drawn_depth") if wanted or (with_depth and session.backend != "cpu") else ()
     picture, report = session.draw(*shot, names, check, simple)
-    depth = report.aovs["drawn_depth"] if names else _depth_at_hand(session)
+    at_hand = session.renderer.frame["depth"] if session.backend == "cpu" else None
+    depth = report.aovs["drawn_depth"] if names else at_hand
     if name in LAYERS:
         return layer_picture(LAYERS[name], report.aovs[LAYERS[name]]), depth
     if name in MAPS:
@@ -67,16 +62,8 @@ def mode_picture(
     return picture, depth
 
 
-def _depth_at_hand(session):
-    return session.renderer.frame["depth"] if session.backend == "cpu" else None
-
-
 def layer_picture(name, values):
-    """Return a layer of the frame as a picture, (height, width, 3) uint8.
-
-    name : str. Of `aov.AOVS`.
-    values : array (height, width) or (height, width, 3)
-    """
+    """Return a layer of the frame, by its name in `aov.AOVS`, as uint8 (height, width, 3)."""
     kind = AOVS[name].kind
     if kind == PICTURE:
         return np.ascontiguousarray(values)
@@ -145,14 +132,7 @@ def puddle_colors(depth):
 
 
 def over_ground(session, shot, picture, depth, colors, opacity):
-    """Return a picture with a map laid over the pixels that show the ground.
-
-    shot : tuple. As for `mode_picture`.
-    picture : uint8 array (height, width, 3)
-    depth : array (height, width) [m]
-    colors : array (ny, nx, 3). 0 to 255.
-    opacity : array (ny, nx)
-    """
+    """Return a picture with a map (colours to 255) laid over the pixels that show the ground."""
     camera = session.camera_of(*shot[:3])
     points, distance = seen_points(session.scene.ground_frame.camera_in_ground(camera), depth)
     terrain = session.terrain

@@ -4,8 +4,6 @@ With its neighbours `page_settings`, `page_ground`, `page_home` and `page_keyfra
 that speaks to viser. Callbacks run in viser's threads and only hand on to the `Painter`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re
@@ -38,9 +36,6 @@ REMEDY = 'the page needs viser; pip install "rainsim[view]"'
 class Client:
     """The state of one page: its controls, its view and the size of its picture.
 
-    handle : viser.ClientHandle
-    rain, state : handles of its own controls
-    view : Viewpoint
     size : tuple of int. Width and height of the picture that was shown last [px].
     said : tuple of (str, float). The first word of its state and when it was last
         shown [s].
@@ -61,10 +56,6 @@ class Page:
     """Serves a `Painter`'s pictures.
 
     port : int. If it is in use the next free one is taken.
-    first : Viewpoint. Where a new page's camera is.
-    greeting : str. Shown on each new page until it is closed there; "" for none.
-    server : viser.ViserServer
-    clients : dict of int to Client
     """
 
     def __init__(self, painter, home, port, first, greeting=""):

@@ -1,7 +1,5 @@
 """The page's tools on the ground: read a point, measure, set scale and up, paint, flood."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np
@@ -189,10 +187,7 @@ class GroundTools:
         self._mend(turn)
 
     def _mend(self, change):
-        """Let the drawing thread change the scene; cameras and keyframes keep their place in it.
-
-        What change(session) returns is said. Pages look at the new ground upright.
-        """
+        """Let the drawing thread change the scene; keyframes keep their place in it."""
         clients = {k: c for k, c in self.page.clients.items() if c.view is not None}
         before = [
             *(client.view for client in clients.values()),

@@ -1,7 +1,5 @@
 """The page's tools that take something home: screenshots, keyframes, paths, films drawn here."""
 
-from __future__ import annotations
-
 import threading
 
 from rainsim.config.frame_settings import MAX_SIDE
@@ -14,11 +12,7 @@ LOOK_EVERY = 0.5  # s between looks at how far a film is
 
 
 class HomeTools:
-    """Screenshots, camera paths and films, the same on all pages.
-
-    keyframes : KeyframeTools
-    saved : Saved or None. What was saved last.
-    """
+    """Screenshots, camera paths and films, the same on all pages."""
 
     def __init__(self, page, home):
         self.page, self.painter, self.home = page, page.painter, home
@@ -98,7 +92,7 @@ class HomeTools:
                 self.progress.value = 100.0 * run.drawn / run.frames
 
         self.page.begin(look)
-        code = run.follow(lambda line: None)
+        code = run.follow()
         ended.set()
         self._run = None
         self.stop.disabled, self.progress.value = True, 100.0 * run.drawn / run.frames

@@ -1,7 +1,5 @@
 """The page's list of keyframes: camera and settings at their times, to be edited and played."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import replace
@@ -72,10 +70,7 @@ def table_of(keyframes):
 
 
 class KeyframeTools:
-    """The keyframes of all pages, one of which is chosen to be edited.
-
-    keyframes : list of Keyframe
-    """
+    """The keyframes of all pages, one of which is chosen to be edited."""
 
     def __init__(self, page, gui, aspect):
         self.page, self.painter, self._aspect = page, page.painter, aspect

@@ -5,8 +5,6 @@ its callbacks, and shows them to all pages that come later. A value that cannot 
 at the socket, and that page shows why.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from weakref import WeakKeyDictionary
@@ -89,11 +87,7 @@ FIELDS = {  # of the messages that this program's page sends; others are dropped
 
 
 def require_values(kind, values):
-    """Raise ParameterError unless a message has the values that its kind must have.
-
-    kind : str. Of `FIELDS`.
-    values : dict. As they were decoded.
-    """
+    """Raise ParameterError unless a decoded message has the values that its kind must have."""
     if 0 in (values.get("image_width"), values.get("image_height")):
         raise UnfinishedError("the page has no size yet")
     for name, fits in FIELDS[kind].items():
@@ -112,12 +106,7 @@ def require_values(kind, values):
 
 
 def require_value(control, value):
-    """Raise ParameterError unless a control can have a value; a page alone keeps to its limits.
-
-    control : viser.GuiInputHandle. Its present value, its `options` or its `min`
-        and `max` are looked at.
-    value : object. As it was decoded.
-    """
+    """Raise ParameterError unless a control can have a value; a page alone keeps to its limits."""
     options, low, high = (getattr(control, name, None) for name in ("options", "min", "max"))
     now = getattr(control, "value", None)
     if getattr(control, "disabled", False):
@@ -172,12 +161,7 @@ class Uploads:
 
 
 class Checks:
-    """The socket's side of one server: checks the messages that its connections receive.
-
-    controls : callable. controls() yields the mappings from identifiers to
-        controls, of the server and its pages.
-    complain : callable. complain(connection, error) tells a page what was wrong.
-    """
+    """The socket's side of one server: checks the messages that its connections receive."""
 
     def __init__(self):
         self.controls, self.complain, self._uploads = lambda: (), lambda *_: None, Uploads()

@@ -1,7 +1,5 @@
 """The page's sliders: settings, time, and the sizes of pictures."""
 
-from __future__ import annotations
-
 from rainsim.config.frame_settings import MAX_SIDE
 from rainsim.config.preset_files import from_human, preset_names
 from rainsim.config.preset_writer import human_values

@@ -1,7 +1,5 @@
 """The thread that draws: pictures for all clients, and whatever else needs the kernels."""
 
-from __future__ import annotations
-
 import queue
 import threading
 import time
@@ -22,14 +20,7 @@ from rainsim.view.threads import ThreadChoice
 
 @dataclass(frozen=True)
 class Shown:
-    """A picture for a page.
-
-    picture : uint8 array (height, width, 3)
-    depth : float32 array (height, width) [m], or None. Along the view axis; with
-        finished pictures only.
-    job : Job
-    seconds : float. That it took to draw.
-    """
+    """A picture, the depth [m] of its pixels if it is finished, and the seconds that it took."""
 
     picture: np.ndarray
     depth: np.ndarray | None
@@ -50,17 +41,12 @@ class Painter:
     Other threads call `add`, `remove`, `look`, `set_mode`, `set_config`, `ask` and the methods of
     time; they return at once.
 
-    show : callable. show(key, shown) hands a `Shown` to a client; called by the
-        drawing thread.
     say : callable, optional. say(text) reports the state in words: what is drawn
         or made.
     fail : callable, optional. fail(error) reports a RainsimError that settings
         led to.
-    now : callable. The clock [s].
     badly_seen : callable, optional. badly_seen(key, share) gets the share of a
         finished picture that the capture's cameras hardly saw.
-    schedule : Schedule
-    clock : PlayClock
     """
 
     def __init__(self, session, show, say=None, fail=None, now=time.perf_counter, badly_seen=None):
@@ -100,10 +86,7 @@ class Painter:
         self._change(lambda: self._modes.__setitem__(key, (name, amount)), key)
 
     def set_config(self, change):
-        """Set the settings that change(config) returns for the next pictures.
-
-        Raises ParameterError if they break a rule; then nothing changes.
-        """
+        """Set what change(config) returns for the next pictures, or raise ParameterError."""
         config = change(self._config).check()
         if config == self._config:
             return

@@ -1,7 +1,5 @@
 """Readings at clicked points, and results of several points: a length, a plane."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,11 +25,7 @@ SOURCES = {MEASURED: "measured", INFERRED: "inferred"}
 class ProbeReading:
     """Place, ground, water and class at a clicked point.
 
-    point : tuple of float [m]. In the ground frame.
-    capture_point : tuple of float [capture units]
     cell : tuple of int, or None. Row and column of the map; None beside it.
-    ground : float [m]. Height of the ground there; NaN beside the map.
-    depth : float [m]. Of water on it.
     kind : str. Ground class and how the ground is known.
     """
 
@@ -60,10 +54,8 @@ class ProbeReading:
 def point_at(session, view, place, size):
     """Return the point of the capture that a view shows at a place, in the ground frame [m] (3,).
 
-    view : Viewpoint
     place : tuple of float. Column and row as shares of the picture's width and
         height, from its upper left corner.
-    size : tuple of int. Width and height of the picture [px].
     Raises ParameterError if nothing solid is seen there.
     """
     width, height = size
@@ -107,7 +99,6 @@ def meters_per_unit_of(scene, a, b, length):
 def up_of(scene, points, eye=(0.0, 0.0, 1e6)):
     """Return the unit normal of a plane through three points of the ground frame, upwards.
 
-    points : array_like of shape (3, 3) [m]
     eye : array_like of shape (3,) [m]. From where they were seen: that side of
         the plane is the upper one.
     Returns array (3,). In the capture frame.
@@ -128,9 +119,6 @@ def with_up(scene, up, point):
     """Return the scene with another up, and whether the ground was found again by it.
 
     Where no ground is found within 20 degrees of level, the level plane through a point is taken.
-
-    up : array_like of shape (3,). In the capture frame.
-    point : array_like of shape (3,) [m]. On the ground, in the ground frame.
     """
     try:
         found = override_ground_frame(scene, up=up)
@@ -148,8 +136,6 @@ def painted(mask, terrain, point, radius, code):
 
     mask : int16 array (ny, nx), or None. Class of each cell, -1 where it is left
         to the program; None: nothing is painted yet.
-    point : sequence of float [m]. Its x and y are the middle of the disk.
-    radius : float [m]
     code : int. Class, or -1 to leave the disk to the program.
     """
     found = np.full(terrain.grid.shape, -1, np.int16) if mask is None else mask.copy()

@@ -5,8 +5,6 @@ date. A small picture is shown even if it is a little late, or a drag would show
 is given up between two stages as soon as its generation is no longer the client's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 LEAST_WIDTH, FULL_WIDTH = 324, 648  # px, unless chosen otherwise
@@ -24,12 +22,9 @@ class Viewer:
     """One page that looks.
 
     view : object. Its camera; None until it is known.
-    aspect : float. Width over height of its picture.
-    generation : int
     changed : float [s]. When the generation last grew.
     shown : tuple of (int, int, int). Generation, width [px] and step of the
         picture that it was shown last.
-    served : float [s]. When it was last drawn for.
     """
 
     view: object = None
@@ -44,10 +39,6 @@ class Viewer:
 class Job:
     """One picture that is to be drawn.
 
-    client : object. The client's key.
-    generation : int
-    view : object
-    width, height : int [px]
     step : int. SMALL, SHARP (full size, from parts that may be out of date) or
         EXACT.
     simple : bool. Whether reflections are simplified.

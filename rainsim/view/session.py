@@ -3,8 +3,6 @@
 All methods but `set_config` belong to the thread that draws.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import partial
@@ -77,10 +75,7 @@ class OutOfDateError(Exception):
 
 
 class CheckedTimer(Timer):
-    """A clock of stages that asks between them whether to go on.
-
-    check : callable. Raises if the picture is no longer wanted.
-    """
+    """A clock of stages that calls `check` between them, which may raise."""
 
     def __init__(self, check):
         super().__init__()
@@ -100,19 +95,13 @@ class Session:
     backend : {"cpu", "cuda"}
     mask : int array (ny, nx), optional. Painted classes, see
         `pipeline.extract_terrain`.
-    progress, say : callable, optional. As `pipeline.extract_terrain` takes them.
     cameras : sequence of Camera, optional. In the capture frame: those offered
         for a capture that has none.
-    water : rainsim.terrain.poured.WaterMask, optional. On the ground at the
-        start.
     config : Config. What is wanted; the parts follow with `make`.
     cameras : tuple of Camera. The scene's, or those offered.
     no_ground : GroundError or None. Why the scene has no terrain. Then the
         capture alone is drawn.
     stale : set of str. Of `BASES`: the parts to be made again.
-    terrain : Terrain
-    water : SharedWater
-    renderer : Renderer of the backend
     """
 
     def __init__(
@@ -138,10 +127,7 @@ class Session:
         self.config = config
 
     def set_scene(self, scene, mask=None):
-        """Take another ground frame or other painted classes: all parts are out of date.
-
-        Water that was put on the ground stays if the ground frame does.
-        """
+        """Take another ground frame or painted classes; poured water stays if the frame does."""
         if scene.ground_frame is not self.scene.ground_frame:
             self.water_mask = None
         self.scene, self.mask, self._camera = scene, mask, None
@@ -162,11 +148,7 @@ class Session:
     # --- parts ------------------------------------------------------------------------------------
 
     def make(self, check=lambda: None):
-        """Make all parts that are out of date.
-
-        check : callable. Called between the parts; what it raises ends the work,
-            and the parts that were made stay.
-        """
+        """Make all parts that are out of date; what check() raises between two ends the work."""
         for part, make in (
             (TERRAIN, partial(self._make_terrain, check)), (WATER, self._make_water),
             (LIGHT, self._make_light),
@@ -229,11 +211,7 @@ class Session:
     # --- pictures ---------------------------------------------------------------------------------
 
     def camera_of(self, view, width, height):
-        """Return the Camera of a view, in the capture frame, to the bit as `--path` reads it.
-
-        view : Viewpoint
-        width, height : int [px]
-        """
+        """Return the Camera of a view, in the capture frame, to the bit as `--path` reads it."""
         data = camera_path_data([(self.pose_of(view), view.fov)], width, height, self.config.fps)
         return path_cameras(data, "the view")[0]
 
@@ -245,10 +223,7 @@ class Session:
         return matrix
 
     def viewpoint_of(self, camera):
-        """Return the Viewpoint that is nearest to a camera of the capture frame.
-
-        A page's camera has square pixels and its principal point in the middle.
-        """
+        """Return the Viewpoint nearest to a camera: square pixels, its axis in the middle."""
         placed = self.scene.ground_frame.camera_in_ground(camera)
         x, y, z, w = Rotation.from_matrix(placed.camera_from_world[:3, :3].T).as_quat()
         fov = 2 * math.atan(camera.height / 2 / camera.fy)
@@ -258,10 +233,6 @@ class Session:
     def draw(self, view, width, height, index, names=(), check=lambda: None, simple=False):
         """Return the picture of a view and its report, as the parts and settings are now.
 
-        view : Viewpoint
-        width, height : int [px]
-        index : int. Of the state.
-        names : sequence of str. AOVs, see `rainsim.render.aov`.
         check : callable. Called between stages; what it raises ends the drawing.
         simple : bool. Find reflections on the screen and in the surroundings
             alone: no mirrored pictures.
@@ -295,11 +266,7 @@ class Session:
         return self._bare.draw(camera, NEAR / self.scene.ground_frame.meters_per_unit)
 
     def draw_bare(self, view, width, height):
-        """Return the capture without rain as a view shows it, while there is nothing to rain on.
-
-        Returns picture : uint8 array (height, width, 3)
-            depth : float32 array (height, width) [m]
-        """
+        """Return the capture without rain as a view shows it, and its depth [m]."""
         camera = self.camera_of(view, width, height)
         require_memory_of_picture(camera)
         layers = self.dry(camera)
@@ -321,10 +288,7 @@ class Session:
         return f"{sunk:.2f} m below the ground" if sunk > 0 else ""
 
     def badly_seen(self, view, width, height):
-        """Return the share of a view that the capture's cameras hardly saw; None if unknown.
-
-        See `render.leaving`.
-        """
+        """Return the share of a view that the capture's cameras hardly saw; None if unknown."""
         if not self.is_ready or not self.scene.cameras:
             return None
         if self._leaving is None:

@@ -4,8 +4,6 @@ A browser on the same machine that draws its page without a GPU takes a core or 
 threads wait for the slowest of them, so that one thread less may then be faster.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from statistics import median
 
@@ -15,11 +13,7 @@ TRY_EVERY = 24  # pictures, after which the slower choice is tried again
 
 
 class ThreadChoice:
-    """Chooses the number of threads for the next picture in motion.
-
-    most : int. Number of threads that there are; with a single one there is no
-        choice.
-    """
+    """Chooses how many of `most` threads draw the next picture in motion."""
 
     def __init__(self, most):
         self._times = {count: deque(maxlen=KEPT) for count in {most, max(most - 1, 1)}}

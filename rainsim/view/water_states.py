@@ -1,7 +1,5 @@
 """The water over time of all who look at one scene: simulated once, kept as far as memory goes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 KEPT_BYTES = 256e6  # of states; those first forgotten that were asked for longest ago
@@ -32,12 +30,7 @@ class SharedWater:
         return sorted(self._kept)
 
     def state(self, index, check=lambda: None):
-        """Return the `SimState` number `index`; simulate up to it if it is not kept.
-
-        index : int
-        check : callable. Called before each step of the simulation; what it
-            raises ends the search, and the steps that were done are kept.
-        """
+        """Return the `SimState` number `index`, simulated up to it; `check` may end each step."""
         if index in self._kept:
             self._kept[index] = self._kept.pop(index)  # now the last that is forgotten
             return self._kept[index]

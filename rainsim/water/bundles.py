@@ -4,8 +4,6 @@ Kernels read them and write to flat arrays that end in `_out`: numba drops write
 NamedTuple's arrays in parallel loops.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -6,8 +6,6 @@ is left grows as steps get shorter. At fronts, bores and moving shorelines it fa
 in time that remain ask for shorter steps. Films are held back by friction; there either is right.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 SCHEMES = ("auto", "accurate", "lean", "paper")
@@ -19,11 +17,7 @@ FILM = 1.0  # step of the bed over the depth: above, the water is a film that fo
 
 
 def choose(asked, h, bed):
-    """Return scheme, Courant number and why.
-
-    asked : {"auto", "accurate", "lean", "paper"}
-    h, bed : array (ny, nx) [m]. Flowing depth and the height on which it flows.
-    """
+    """Return scheme, Courant number and why, for depths h [m] on a bed [m]."""
     if asked != "auto":
         return asked, COURANTS[asked], "asked for by name"
     wet = h > 0

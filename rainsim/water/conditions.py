@@ -6,8 +6,6 @@ is a wall there, but what comes in passes its faces at the speed that it has in 
 `StaggeredFlow.let_in`; what is wanting there is added.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -76,11 +74,7 @@ class Condition:
         return 0.0
 
     def change(self, depth, start, end, area):
-        """Return the new depths [m] of the cells after the step from `start` to `end` [s].
-
-        depth : float64 array (cells,) [m]. Depth above the bed.
-        area : float [m2]. Of a cell.
-        """
+        """Return the cells' depths [m] after the step from `start` to `end` [s]; `area` [m2]."""
         raise NotImplementedError
 
 
@@ -263,10 +257,6 @@ def apply_conditions(solver, start, end, dry):
     """Change the edge cells' water as the conditions ask; return volumes that came and left [m3].
 
     Films are left alone: the water above them changes.
-
-    solver : WaterSolver
-    start, end : float [s]. Of the step.
-    dry : float [m]. Depths below do not flow.
     """
     (h, remainder, _, _), film, area = solver.flow.water, solver.sources.film, solver.spacing**2
     came = left = 0.0

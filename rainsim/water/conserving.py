@@ -140,7 +140,6 @@ def volume_flux(tiles, h, bed, u, v, qu_out, qv_out):
         which it flows.
     u, v : array (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]. Face velocities at
         n+1/2.
-    qu_out, qv_out : as u and v [m2/s]
     """
     ny, nx = h.shape
     for n in prange(tiles.shape[0]):
@@ -167,13 +166,6 @@ def move_depth(tiles, qu, qv, k, dry, h_out, remainder_out):
 
     The sums are float64, where those of float32 are exact, and what `h` cannot represent or is
     too little to flow stays in `remainder`: volume is conserved to float64 rounding.
-
-    tiles : int64 array (tiles, 4)
-    qu, qv : array (ny + 4, nx + 5) and (ny + 5, nx + 4) [m2/s]
-    k : float64 [s/m]
-    dry : float64 [m]. Depths below do not flow.
-    h_out, remainder_out : array (ny + 4, nx + 4) [m]. Flowing depth and its
-        remainder; modified in place.
     """
     for n in prange(tiles.shape[0]):
         south, north, west, east = tiles[n, 0], tiles[n, 1], tiles[n, 2], tiles[n, 3]
@@ -330,13 +322,8 @@ def accelerate(
 ):  # fmt: skip
     """Carry momentum and apply pressure with the fourth-order term in the tiles of `runs`.
 
-    runs : int64 array (runs, 6). See `rows.runs_of`.
-    tiles : int64 array (tiles, 4). First and last row + 1, first and last column
-        + 1 of each tile.
     water : Water. Depth at n+1 and velocity at n+1/2.
-    bed : array (ny + 4, nx + 4) [m]. Height on which the water flows.
     flux : Flux. Volume flux at n+1/2, zero for a first half step.
-    step : StepNumbers
     u_out, v_out : as u and v [m/s]. Velocity at n+3/2; edge faces are to be set
         again.
     wave_speed_out, speed_out : array (tiles,) [m/s]. Largest `wave_speed` and
@@ -381,10 +368,8 @@ def speed_out(speed, here, behind, step):
     its neighbour's it goes on gaining speed as it does before the edge; without that the sill holds
     whatever depth has gathered, with it the flow over it becomes critical. Water at rest stays.
 
-    speed : float [m/s]. Outward, of the face just inside.
     here, behind : float [m/s]. Outward, one step earlier, of that face and of the
         next one inward.
-    step : float [m]
     """
     leaves = max(speed, ZERO)
     return leaves + (min(max(here - behind, ZERO), leaves) if step > ZERO else ZERO)
@@ -396,10 +381,6 @@ def fill_edge_flux(kinds, h, bed, u, v, qu_out, qv_out):
 
     With the whole depth of its neighbour the cell would gain more than it passes on, and dam up.
 
-    kinds : int64 array (4,). 1 where the west, east, south, north edge is open, 0
-        where it is a wall.
-    h, bed : array (ny + 4, nx + 4) [m]
-    u, v : array (ny + 4, nx + 5) and (ny + 5, nx + 4) [m/s]
     qu_out, qv_out : as u and v [m2/s]. Volume flux, in which the faces of such
         cells are changed.
     """

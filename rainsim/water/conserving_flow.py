@@ -4,8 +4,6 @@
 between them. "lean" does both in one pass over memory, within `advance_depth`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -27,12 +25,9 @@ CAP_STEPS = 64  # steps from one update of the speed cap to the next
 class ConservingFlow(StaggeredFlow):
     """Depth and velocity with `PAD` ghost cells around, and what "accurate" and "lean" share.
 
-    bed, spacing, gravity, is_open, roughness, dry. See `StaggeredFlow`; the maps
-        are without ghost cells.
     viscosity : float [m2/s]. Kinematic; 0 is no laminar drag.
     edge_is_open : int64 array (4,). 1 where the west, east, south, north edge is
         open, 0 where it is a wall.
-    lowest_bed : float [m]
     cap : float [m/s]. Speed that no face may exceed: all energy there is.
     is_at_whole_step : bool. Whether velocity is known at n, like depth; the first
         step takes it to n + 1/2.
@@ -202,13 +197,7 @@ class ConservingFlow(StaggeredFlow):
             self._raise_cap()  # that of dry ground would hold what fell on it
 
     def note_cells(self, edge, rows, columns, rise, dt):
-        """Take note that last cells of an edge rose within a step.
-
-        edge : str
-        rows, columns : int array
-        rise : ndarray [m]. Of each cell.
-        dt : float [s]. Of the step.
-        """
+        """Take note that last cells of an edge rose by `rise` [m] within a step `dt` [s]."""
         h, at = self.water.h, (rows + conserving.PAD, columns + conserving.PAD)
         self._tiles.wake_cells(rows, columns)
         conserving.fill_depth(self.edge_is_open, h)

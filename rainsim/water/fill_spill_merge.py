@@ -14,8 +14,6 @@ comes from one sweep over the cells in ascending order, and spilling follows a u
 in which a full depression passes what it gets to where it spills, so each fills up once.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import ParameterError, require_not_negative, require_positive
@@ -187,10 +185,7 @@ def lower(bed, a, b):
 
 @device_function
 def look_around(bed, node, c, nx, up, tops_out, doors_out):
-    """List the nodes around cell c and the lowest neighbour (door) in each, lowest door first.
-
-    Only cells below c have a node yet. Returns the number of nodes.
-    """
+    """List the nodes around cell c and the lowest neighbour (door) in each, lowest door first."""
     around = 0
     for side in range(4):
         door = neighbour(c, side, nx, bed.size)
@@ -240,11 +235,6 @@ def build(bed, order, kind, nx, node_out, ending_out, links_out, levels_out):
     doors are siblings, what they become is the next one's sibling, and so on; nodes whose door is
     higher than a drained one spill without return.
 
-    bed : float64 array (n,) [m]
-    order : int64 array (n,)
-    kind : uint8 array (n,). PLAIN, EDGE or PERMEABLE.
-    nx : int. Cells in a row.
-    node_out, ending_out, links_out, levels_out : ndarray
     Returns int. Number of nodes, with DRAINED.
     """
     up = np.empty(links_out.shape[1], np.int32)  # to the node that now contains a node
@@ -300,12 +290,8 @@ def build(bed, order, kind, nx, node_out, ending_out, links_out, levels_out):
 def fill(bed, rainfall, order, node, ending, links, rim, capacity, depth_out, left_out):
     """Pour the rain into the tree and spread each depression's water over its cells.
 
-    bed, rainfall : float64 array (n,) [m]
-    order, node, ending, links : ndarray. See `_Tree`.
-    rim : float64 array (count,) [m]. Level of each node's rim.
     capacity : float64 array (count,) [m]. Depth that each node holds, summed over
         its cells.
-    depth_out : float64 array (n,) [m]
     left_out : float64 array (2,) [m]. Depth that left over the edge and into
         permeable cells, summed.
     """
@@ -362,7 +348,6 @@ def pour(leaf, volume, links, capacity, passes_out, water_out, full_out, whole_o
 def spread(bed, order, node, links, rim, water, full, whole, depth_out):
     """Turn the water of each node of the tree into a level, and the levels into depths.
 
-    bed, order, node, links, rim, depth_out : ndarray. See `fill`.
     water : float64 array (count,) [m]. Depth that lies in each node, summed over
         its cells.
     full : bool array (count,). Whether the node holds its capacity: its level is

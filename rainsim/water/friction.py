@@ -80,18 +80,12 @@ def apply_friction(
 ):  # fmt: skip
     """Slow the velocities at the west and south faces of the cells in `runs` by friction.
 
-    runs : int64 array (runs, 6). See `rows.runs_of`.
-    tiles : int64 array (tiles, 4). First and last row + 1, first and last column
-        + 1 of each tile.
     water : Water. Depth after the step and velocity before it. Friction takes the
         speed along a face from this velocity, because the neighbours' new one may
         be slowed already or not.
-    numbers : FrictionNumbers
     u_out, v_out : ndarray of the shapes of `water.u` and `water.v` [m/s].
         Velocity after the step, which friction slows in place. Call
         `fill_velocity` afterwards: it sets the faces at the map's edges.
-    wave_speed_out, speed_out : array (tiles,) [m/s]. Largest
-        `conserving.wave_speed` and largest speed of each tile.
     """
     for t in prange(runs.shape[0]):
         slow_run(runs[t], tiles, water, ground, numbers, u_out, v_out, wave_speed_out, speed_out)

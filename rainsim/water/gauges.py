@@ -1,7 +1,5 @@
 """Readings of a `WaterSolver` over time: depths and speeds in cells, hydrographs of edges."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """The water solver's arguments: checked at the border and turned into maps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import ParameterError, require_choice, require_not_negative, require_positive
@@ -48,10 +46,7 @@ def refuse_viscosity(viscosity):
 
 
 def require_bed(bed, least=2):
-    """Return `bed` as a float64 map of `least` cells a side or more, or raise ParameterError.
-
-    Two cells a side have a face between them.
-    """
+    """Return `bed` as a float64 map of `least` cells a side or more, or raise ParameterError."""
     bed = np.asarray(bed, np.float64)
     if bed.ndim != 2 or min(bed.shape) < least:
         raise ParameterError(
@@ -129,11 +124,8 @@ def require_drops(rows, columns, volumes, shape):
 def mean_at_faces(values, h, bed, dry, axis):
     """Return the mean of the wet neighbours of each inner face along `axis`; 0 at closed faces.
 
-    values, h, bed : array (ny, nx). Velocity [m/s], flowing depth [m] and the
-        height [m] on which it flows.
     dry : float [m]. A face to a dry cell is closed unless the water stands that
         far above the cell's bed.
-    axis : int. 1 for the faces between columns, 0 for those between rows.
     """
     before, after = [slice(None)] * 2, [slice(None)] * 2
     before[axis], after[axis] = slice(None, -1), slice(1, None)

@@ -1,7 +1,5 @@
 """Water that keyframes move: past rain that grows, a level that rises and falls."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.water.puddles import puddles_of

@@ -53,20 +53,14 @@ def accelerated(w, h_a, h_b, step, noise, gain, k, kg, cap, dry):
 
 @inlined_function
 def flux_row(w, d, b, n, q_out):
-    """Volume fluxes [m2/s], see `upwind_flux`, through the n faces between cells c and c + 1.
-
-    `w` are the face velocities, `d` depth and `b` bed of the row's n + 1 cells.
-    """
+    """Volume fluxes [m2/s], see `upwind_flux`, through the n faces between cells c and c + 1."""
     for c in range(n):
         q_out[c] = upwind_flux(w[c], d[c], d[c + 1], b[c + 1] - b[c])
 
 
 @inlined_function
 def flux_rows(w, d_0, d_1, b_0, b_1, n, q_out):
-    """Volume fluxes [m2/s] from row 0 to row 1 through the n faces between them.
-
-    `w` are the face velocities, `d_0`, `d_1` the depths and `b_0`, `b_1` the beds of the two rows.
-    """
+    """Volume fluxes [m2/s] from row 0 to row 1 through the n faces between them."""
     for c in range(n):
         q_out[c] = upwind_flux(w[c], d_0[c], d_1[c], b_1[c] - b_0[c])
 
@@ -152,16 +146,9 @@ def step(
 ):  # fmt: skip
     """Advance depth from n to n+1 and velocity from n+1/2 to n+3/2 in the tiles of `runs`.
 
-    runs : int64 array (runs, 6). See `rows.runs_of`.
-    tiles : int64 array (tiles, 4). First and last row + 1, first and last column
-        + 1 of each tile.
     water : Water. Depth at n and velocity at n+1/2.
-    bed : array (ny + 4, nx + 4) [m]. Height on which the water flows.
-    numbers : StepNumbers
     h_out, u_out, v_out : as h, u and v. `fill_velocity` sets the edge faces
         afterwards.
-    wave_speed_out, speed_out : array (tiles,) [m/s]. Largest
-        `conserving.wave_speed` and largest speed of each tile.
     """
     for t in prange(runs.shape[0]):
         step_run(

@@ -1,7 +1,5 @@
 """The tiles of a map, and those of them in which water moves."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.water.conserving import PAD
@@ -16,12 +14,9 @@ class Tiles:
     A tile sleeps when it and its neighbours were still for two steps: then both copies of its
     fields are the same, and a step would change no number.
 
-    ny, nx : int. Cells with their ghosts.
-    dtype : dtype. Of speeds.
     all, active : int64 array (tiles, 4). First and last row + 1, first and last
         column + 1 of each tile, of all and of those that take part in steps.
     runs : int64 array (runs, 6). Of the active tiles, see `rows.runs_of`.
-    still_steps : int64 array (tiles,). Steps since each tile last moved.
     """
 
     def __init__(self, ny, nx, dtype):

@@ -1,7 +1,5 @@
 """Cells of a map that have no height: walls, or a rim over which water leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import binary_dilation, grey_erosion
 
@@ -18,7 +16,6 @@ def without_nodata(bed, way):
     Where water leaves, it falls into a cell beside the map that is as low as its lowest neighbour,
     and is drained there.
 
-    bed : array (ny, nx) [m]. NaN where there is no height.
     way : {"closed", "open"}. Whether cells without a height are walls, or let the
         water go that reaches them.
     Returns bed : array (ny, nx) [m]

@@ -1,7 +1,5 @@
 """The water on objects above the ground: films, puddles, drips from them, and its account."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +16,8 @@ class Objects:
     start : Config. Of time 0.
     tops : TopWater
     dried : float [m]. What evaporation has taken from the tops.
-    drips : Drips or None
     initial, inflow : float [m3]. What was on the objects when the account was
         opened, and what has risen from outside.
-    tops : TopWater
     """
 
     def __init__(self, surfaces, start, tops, dried):

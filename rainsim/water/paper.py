@@ -102,15 +102,9 @@ def carry_v(u, v, k, j, i, left, right):
 def flow(h, u, v, k, dry, remainder_out, h_out, u_out, v_out):
     """Carry velocity (semi-Lagrangian) and depth (upwind flux form) over one step.
 
-    h : array (ny, nx) [m]. Flowing depth at n.
-    u, v : array (ny, nx + 1) and (ny + 1, nx) [m/s]. Face velocities at n; edge
-        faces zero or outward.
     k : float [s/m]. dt / spacing, with k |u| at most 1/4.
-    dry : float [m]. Depths below do not flow.
     remainder_out : array (ny, nx) [m]. Depth beside `h` in the cell, read and
         rewritten.
-    h_out, u_out, v_out : ndarray. Depth at n+1 and carried velocity u*. Edge
-        faces are left alone.
     """
     ny, nx = h.shape
     for j in prange(ny):
@@ -182,13 +176,9 @@ def fastest_signal(speed, h_a, h_b, gravity):
 def accelerate(h, bed, numbers: StepNumbers, u_out, v_out, signal_out):
     """Apply pressure to all inner faces.
 
-    h, bed : array (ny, nx) [m]. Flowing depth at n+1 and the height on which it
-        flows.
     numbers : StepNumbers. `cap` is the speed that no face may exceed, as in
         Chentanez and Mueller 2010; `dry` is also the least depth that friction
         sees.
-    u_out, v_out : array (ny, nx + 1) and (ny + 1, nx) [m/s]. u* on entry,
-        velocity at n+1 on return; edge faces are left alone.
     signal_out : array (blocks, nx) [m/s]. Largest `fastest_signal` in each column
         of each block of BLOCK rows. A maximum over a row would keep the compiler
         from taking many faces at once.
@@ -225,10 +215,8 @@ def accelerate_rough(
 
     As `accelerate`, and:
 
-    ground : Ground. In place of the bed, without ghost cells.
     u, v : array (ny, nx + 1) and (ny + 1, nx) [m/s]. Velocity at n, from which
         the flow along a face is taken.
-    drag : float [m/s]. gravity * dt.
     """
     (bed, roughness), gravity, dry = ground, numbers.gravity, numbers.dry
     ny, nx = h.shape

@@ -1,7 +1,5 @@
 """The owner of the fields of the scheme "paper"."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -16,10 +14,7 @@ ROUNDING_ROOM = 1 - 1e-6  # of a step, so that float32 factors keep its promise 
 
 
 class PaperFlow(StaggeredFlow):
-    """The step of "paper" (see `rainsim.water.paper`), without ghost cells.
-
-    Parameters and attributes are those of `StaggeredFlow`; the paper has no viscosity.
-    """
+    """The step of "paper" (see `rainsim.water.paper`), without ghost cells or viscosity."""
 
     def __init__(self, bed, spacing, gravity, is_open, roughness, dry):
         super().__init__(bed, spacing, gravity, is_open, roughness, dry, roundings=2)

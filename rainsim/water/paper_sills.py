@@ -4,8 +4,6 @@ What `rainsim.water.conserving` does in `fill_edge_flux` and `speed_out`, for th
 need it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 # edge: sign of the outward direction, whether columns are counted, the last one
@@ -22,11 +20,7 @@ def find_sills(bed, is_open):
 class Sill:
     """The higher last cells of one open edge.
 
-    bed : array (ny, nx) [m]
-    sign : int. Of an outward velocity.
-    is_column : bool. Whether the last cells form a column.
     last : {0, -1}. Its number, and that of the edge's faces.
-    cells : int array. Places of the cells along the edge.
     """
 
     def __init__(self, bed, sign, is_column, last):
@@ -58,13 +52,7 @@ class Sill:
         w_out[self._last, self.cells] = self._sign * (leaves + np.minimum(self._gain, leaves))
 
     def give_back(self, k, h, h_out, remainder_out, dry):
-        """Take what flowed in from below the step back to the neighbours.
-
-        k : float [s/m]. Step / spacing.
-        h : array (ny, nx) [m]. Depth before the step.
-        h_out, remainder_out : array (ny, nx) [m]. Depth after the step; modified.
-        dry : float [m]. Depths below do not flow.
-        """
+        """Take what flowed in from below the step back to the neighbours; k is step / spacing."""
         last, before = self._last, self._last + self._inward
         deep = self._lines(h)[before, self.cells].astype(np.float64)
         excess = k * self._speed * np.minimum(deep, self._step)

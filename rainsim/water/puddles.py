@@ -1,7 +1,5 @@
 """Puddles: where rain of the past stands on a terrain, and how more rain or sun moves them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,7 +28,6 @@ class Puddles:
     """Standing water on a terrain, and the account of the water that left it.
 
     graph : SpillGraph. Which depression spills into which; built once.
-    depth : float64 array (ny, nx) [m]
     volumes : dict of str to float [m3]. painted (stood there at the start), rain,
         outflow, infiltrated, evaporated, drained: since the start.
     """

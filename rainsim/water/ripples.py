@@ -5,8 +5,6 @@ its own. The tile evolves their spectrum exactly, at one water depth, and gives 
 shading. It lies over the flow and does not act on it.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 
@@ -96,7 +94,6 @@ def footprint(diameter):
 class RippleTile:
     """A square of water, periodic in both directions.
 
-    size : float [m]
     cells : int. Along each side; waves of two cells and longer are carried.
     depth : float [m]. Of the water; it sets the speeds and the damping.
     film : float. 0 for clean water to 1 for water whose surface film does not
@@ -104,8 +101,6 @@ class RippleTile:
     rate : float [mm/h]. Of the rain that stirs the water; see `stirring`.
     chord : float [m]. Mean way across the water, see `mean_chord`: its shores
         take the waves that reach them.
-    dtype : dtype. Of the state; float32 is good to a thousandth of a slope and
-        twice as fast.
 
     Each drop pushes the water down with a Gaussian of the width `footprint` of its size, one of
     three; the push is proportional to its momentum (Le Mehaute 1988, J. Fluid Mech. 197, 415), with
@@ -150,7 +145,6 @@ class RippleTile:
     def advance(self, duration, position=None, momentum=None, age=None):
         """Let the waves run for `duration` and add the rings of the drops that fell meanwhile.
 
-        duration : float [s]
         position : array (n, 2 or more) [m] or None. Where drops fell; wrapped
             into the tile.
         momentum : array (n,) [kg m/s]. Downward.
@@ -175,10 +169,7 @@ class RippleTile:
                     self._lag += self._push[size] * self._deposit(position[now], momentum[now])
 
     def slopes(self):
-        """Return (d eta/dx, d eta/dy), ndarray of shape (2, cells, cells), float32.
-
-        Row j, column i is at (i, j) * size / cells.
-        """
+        """Return (d eta/dx, d eta/dy), float32 (2, cells, cells); row j, column i is at (i, j)."""
         out = np.empty((2, self.cells, self.cells), np.float32)
         shape = (self.cells, self.cells)
         # odd derivatives of the shortest wave are not defined
@@ -296,8 +287,6 @@ def ring_share(rained, spacing, reach, weight):
 
     rained : float32 array (ny, nx). Share of the rain that reaches each cell;
         beyond the map it goes on as at its edge.
-    spacing : float [m]
-    reach, weight : array (n,). As `ring_reach` gives them.
 
     Waves that spread evenly from where drops fall and fade with a path length l have the energy of
     a convolution with exp(-r / l) / (2 pi l r), in Fourier space 1 / sqrt(1 + (q l)^2). That the
@@ -356,7 +345,6 @@ def taller_rings(rings, height, sheltered):
     """Return amplitudes of rings whose heights are multiplied by `height`, also under cover.
 
     rings : float32 array (ny, nx). See `ring_share`.
-    height : float
     sheltered : float. Share of the amplitude that runs in from the open where
         `rings` is 0: a pixel has sheltered + (1 - sheltered) rings.
     """
@@ -369,8 +357,6 @@ def taller_rings(rings, height, sheltered):
 def block_reach(side, reach, weight):
     """Return how the energy of rings spreads from a block of water to those around, float32.
 
-    side : float [m]. Of the blocks.
-    reach, weight : array (n,). As `ring_reach` gives them.
     Returns float32 array (2 BLOCKS_AROUND + 1, 2 BLOCKS_AROUND + 1). Share of a
         block's energy that each block around gets, over the energy on water with
         a mean chord of USUAL_CHORD, see `RippleTile`. So the sum is more than 1.
@@ -401,8 +387,6 @@ def sheltered_rings(rings, share, rained, shelters, spacing, reach):
         it follows from.
     shelters : list of (part, share). Parts of the map, two slices, and the share
         of the rain there that an actor lets through.
-    spacing : float [m]
-    reach : tuple of ndarray. Reach and weight, as `ring_share` takes them.
     Returns float32 array (ny, nx). `rings` itself without actors.
         windows : list of tuple of slice. Rows and columns in which it differs.
     """
@@ -429,9 +413,6 @@ def tile_impacts(impacts, map_area, size, time):
     probability tile area over map area, over LAYERS, by its id.
 
     impacts : Impacts. Those on water or ground, of one step.
-    map_area : float [m2]. Area that they fell on.
-    size : float [m]. Side of the tile.
-    time : float [s]. End of the step.
     Returns position : float64 array (m, 2) [m]
         momentum : float64 array (m,) [kg m/s]
         age : float64 array (m,) [s]

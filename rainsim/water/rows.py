@@ -5,8 +5,6 @@ Of arrays it must ask that at run time, pair by pair, and above eight pairs it g
 on the stack it knows. They also cost no allocation.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -24,9 +22,6 @@ def stack_row(typingctx, like, count):
     """Return an uninitialised ndarray of shape (count,) of the type of `like`, on the stack.
 
     It must not leave the kernel, nor the turn of a parallel loop that made it.
-
-    like : ndarray
-    count : literal int
     """
     if not isinstance(count, jit.types.IntegerLiteral):
         return None
@@ -52,8 +47,6 @@ def runs_of(tiles, numbers, across):
 
     A kernel takes a run row by row: long rows keep vector lanes and memory streams full.
 
-    tiles : int64 array (tiles, 4). First and last row + 1, first and last column
-        + 1 of some of a map's tiles.
     numbers : int64 array (tiles,). Places of these in all of the map's tiles, row
         by row, in rising order.
     across : int. Tiles that the map has in a row.
@@ -92,13 +85,7 @@ def tile_maxima(run, tiles, tops, top_out):
 
 @jit.cpu_kernel
 def tile_peaks(tiles, h, bed, deepest_out, highest_out):
-    """Find the largest depth and the highest level of water in each of `tiles`.
-
-    tiles : int64 array (tiles, 4)
-    h, bed : ndarray of the shape of the maps [m]
-    deepest_out, highest_out : array (tiles,) [m]. Zero and minus infinity where
-        all is dry.
-    """
+    """Find each tile's largest depth and highest level [m]; 0 and -infinity where all is dry."""
     for t in prange(tiles.shape[0]):
         west, east = tiles[t, 2], tiles[t, 3]
         deep, high = stack_row(h, COLUMNS), stack_row(h, COLUMNS)

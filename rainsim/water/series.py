@@ -1,7 +1,5 @@
 """Numbers that change with time: rain, stages and discharges, given or read from a table."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -87,10 +85,7 @@ def series(value):
 
 
 def rain_pieces(rain, start, end):
-    """Return the rain from `start` to `end` [s] as a list of (end [s], rate [m/s] or map).
-
-    A `Series` is cut where its values change, an interpolated one also into pieces of `PIECE`.
-    """
+    """Return the rain from `start` to `end` [s] as a list of (end [s], rate [m/s] or map)."""
     if not isinstance(rain, Series):
         return [(end, rain)]
     if (rain.values < 0).any():

@@ -11,8 +11,6 @@ DRY_DEPTH = 1e-6  # m, below this water does not flow (RainyGS supplement, step 
 class Sources:
     """The rain on a map, its films, and what its ground and its drains take.
 
-    flow : ConservingFlow or PaperFlow
-    cell_area : float [m2]
     storage, infiltration : array (ny, nx) [m], [m/s]
     drains : tuple of ndarray. Rows, columns and rates [m3/s].
     film, storage, infiltration : ndarray of the shape of `flow.water.h` [m], [m],
@@ -22,7 +20,6 @@ class Sources:
         None for all of it everywhere.
     has_storage, has_losses : bool. Whether cells hold water back, and whether the
         ground or drains take water.
-    rain_sum : float [m/s]. Of the rates over the cells.
     unbooked_time : float [s]. Of steps whose rain and losses are still to be
         applied.
     """
@@ -120,9 +117,6 @@ def infiltrate_and_fill(free, film, demand, store):
 def drain_cells(h, remainder, depth, dry):
     """Take up to `depth` [m] from each of some cells.
 
-    h, remainder : array (n,) [m]. Flowing depth of the cells and its remainder.
-    depth : array (n,) [m]
-    dry : float [m]. Water less deep is all remainder.
     Returns h, remainder : array (n,) [m]. What the cells keep.
         taken : float [m]. Summed over the cells.
     """
@@ -141,15 +135,8 @@ def apply_sources(
 
     All sums are float64, so that rain far below the rounding of `h` is not lost.
 
-    tiles : int64 array (tiles, 4). First and last row + 1, first and last column
-        + 1 of each tile to treat.
     rain, infiltration : ndarray of the shape of the maps [m/s]. Rate of the rain,
         and rate at which the ground takes water as long as there is some.
-    storage : ndarray [m]. Depth held back in the cell.
-    dt : float [s]
-    dry : float [m]. Depths below do not flow.
-    h_out, remainder_out, film_out : ndarray [m]. Flowing depth, its remainder and
-        the held film; modified in place.
     infiltrated_out : float64 array (tiles,) [m]. Depth taken by the ground,
         summed over each tile.
     """
@@ -187,8 +174,6 @@ def apply_sources(
 def sum_tiles(tiles, h, remainder, film, ground_out, film_out, least_out):
     """Sum up the water that stands in each of `tiles`.
 
-    tiles : int64 array (tiles, 4)
-    h, remainder, film : ndarray of the shape of the maps [m]
     ground_out, film_out : float64 array (tiles,) [m]. Sums of flowing water with
         its remainder, and of the held film.
     least_out : float64 array (tiles,) [m]. Smallest depth, film included.

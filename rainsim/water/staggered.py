@@ -1,7 +1,5 @@
 """Depth and velocity on a staggered grid: the state that all schemes have."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.water.bundles import StepNumbers, Water
@@ -15,8 +13,6 @@ class StaggeredFlow:
 
     bed : ndarray of the shape of the fields [m]. Height on which the water flows,
         of the type of all fields.
-    spacing, gravity : float [m], [m/s2]
-    is_open : dict. Whether each edge is open.
     roughness : ndarray of the shape of the fields, or None [s2 m^(-2/3)]. Square
         of Manning's n.
     dry : float [m]. Depth below which water does not flow.
@@ -25,8 +21,6 @@ class StaggeredFlow:
     pad, inner : int, tuple of slice. Rings of ghost cells, and the cells without
         them.
     water : Water. The present copy; the remainder is that of both.
-    wave_speed, water_speed : float [m/s]. Of the fastest wave and of the fastest
-        face.
     """
 
     pad, inner = 0, np.s_[:, :]

@@ -11,8 +11,6 @@ Where water runs is found on blocks of cells. Hollows that are not full keep wha
 ground water finds the way to the lowest rim.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -70,11 +68,7 @@ def block_cells(spacing):
 
 
 def run_off(terrain, standing, rain):
-    """Return the `Runoff` of a terrain.
-
-    standing : array (ny, nx) [m]. Depth of the water at rest.
-    rain : array (ny, nx) [m/s]. What reaches the ground.
-    """
+    """Return the `Runoff` over `standing` water [m] of a `rain` [m/s] that reaches the ground."""
     grid = terrain.grid
     k = block_cells(grid.spacing)
     surface = block_means(terrain.bed + standing, k)
@@ -96,7 +90,6 @@ def run_off(terrain, standing, rain):
 def with_streams(terrain, standing, rain):
     """Return the water at rest with the streams of a steady rain.
 
-    terrain, standing, rain. As `run_off` takes them.
     Returns depth : float64 array (ny, nx) [m]. At least `standing`.
         velocity : float32 array (2, ny, nx) [m/s]. Of the streams and of the
             water at rest that they run through.
@@ -128,11 +121,7 @@ def with_streams(terrain, standing, rain):
 
 
 def is_bottom(level, x, y):
-    """Return the mask of blocks beside whose stream no ground is much lower: bottoms of gutters.
-
-    level, x, y : array (rows, columns). Level [m], and discharge to the east and
-        north.
-    """
+    """Return the mask of blocks beside whose stream no ground is much lower: bottoms of gutters."""
     padded = np.pad(level, 1, mode="edge")
     falls = [level - np.minimum(padded[1:-1, :-2], padded[1:-1, 2:]),
              level - np.minimum(padded[:-2, 1:-1], padded[2:, 1:-1])]  # fmt: skip
@@ -163,7 +152,6 @@ def runs_over(bed, standing):
 def rims(bed, depth, pool, room_out):
     """Find the lowest rim of each pool and its level.
 
-    bed, depth : array (ny, nx) [m]
     pool : int32 array (ny, nx). Number of each cell's pool, 0 of dry ones.
     room_out : float64 array (2, pools + 1) [m]. Lowest rim, -inf at the map's
         edge, and highest level. Infinite before.
@@ -188,7 +176,6 @@ def rims(bed, depth, pool, room_out):
 def flood(surface, sink, level_out):
     """Fill the hollows of a surface up to their rims (Planchon and Darboux 2002, Catena 46).
 
-    surface : float64 array (rows, columns) [m]
     sink : bool array (rows, columns). Where water ends; nothing is filled there.
     level_out : float64 array (rows, columns) [m]. Rises by RISE at least from
         block to block, away from where water ends.
@@ -221,13 +208,8 @@ def flood(surface, sink, level_out):
 def route(level, source, sink, order, east_out, north_out):
     """Let the water of each block run on to its lower neighbours, in proportion to the fall.
 
-    level : float64 array (rows, columns) [m]
     source : float64 array (rows, columns) [m3/s]. Of each block; what comes from
         its neighbours is added.
-    sink : bool array (rows, columns)
-    order : int64 array (rows * columns,). The blocks, highest first.
-    east_out : float64 array (rows, columns + 1) [m3/s]
-    north_out : float64 array (rows + 1, columns) [m3/s]
     """
     rows, columns = level.shape
     for c in order:
@@ -263,10 +245,6 @@ def fill_sections(bed, k, spacing, x, y, root, share, table_out):
     It is the level at which friction balances the slope for all that runs through the section
     below it. Of streams that reach the same block the larger one counts.
 
-    bed : float32 array (ny, nx) [m]
-    k : int. Cells along the side of a block.
-    spacing : float [m]
-    x, y : float64 array (rows, columns) [m2/s]. Discharge to the east and north.
     root : float64 array (rows, columns) [m^(1/3)/s]. Square root of the slope
         over Manning's n.
     share : float64 array (rows, columns). Of the depth that is laid; 0: the block
@@ -331,13 +309,8 @@ def fill_sections(bed, k, spacing, x, y, root, share, table_out):
 def lay(bed, film, k, table, x, y, depth_out, velocity_out):
     """Lay the streams over the water at rest.
 
-    bed, film : float32 array (ny, nx) [m]. Ground, and the depth on it that does
-        not flow.
-    k : int. Cells along the side of a block.
-    table : float64 array (6, rows, columns). See `fill_sections`.
     x, y : float64 array (rows, columns) [m2/s]. Discharge to the east and north,
         of what runs through water at rest.
-    depth_out : float64 array (ny, nx) [m]. The water at rest before.
     velocity_out : float32 array (2, ny, nx) [m/s]. 0 before.
     """
     ny, nx = bed.shape

@@ -6,8 +6,6 @@ drips. A shower takes minutes to fill it, and a film seconds pass: so the puddle
 some amounts of rain, once, and the water on a top says which of them shows.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 
@@ -28,7 +26,6 @@ KIND = "tops"
 class TopWater:
     """How water stands on the level tops of a terrain.
 
-    tops : Tops
     depths : float32 array (k, rows, columns) [m]. Of the puddles after each of
         RAINS, on the tops' patches.
     drawn : float32 array (k, rows, columns) [m]. The same for pictures, see
@@ -72,10 +69,7 @@ class TopWater:
         return volumes_of(self.tops, np.maximum(depth - evaporated, 0.0))
 
     def stage(self, volume):
-        """Return which of `depths` shows at a `volume` [m3] on each top, (n,) float32.
-
-        Between whole numbers their depths are mixed.
-        """
+        """Return which of `depths` shows at a `volume` [m3] on each top, (n,); parts mix two."""
         places = np.arange(len(self.volumes))
         each = [np.interp(v, own, places) for v, own in zip(volume, self.volumes.T, strict=True)]
         return np.array(each, np.float32)
@@ -123,9 +117,6 @@ def over_gaps(tops, depth):
     A picture finds a top's gaps where the pixel's own depth puts them, and the depth of its water
     where the ray meets the fitted surface, some millimetres or centimetres beside: gaps in the
     depth would show a second time, as a line of thin film along each.
-
-    depth : array (rows, columns) [m]. On the patches of all tops, 0 where nothing
-        holds water.
     """
     drawn = np.zeros(depth.shape, np.float32)
     for k in np.flatnonzero(tops.level):

@@ -1,7 +1,5 @@
 """How full the film of a road is where tyres have rolled."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -48,7 +46,6 @@ def wear(ways, worn_out):
     ways : float64 array (n, 7). Place, way (both x, y) and half the width, in
         cells; freshness at the begin, from 0 to 1; by how much it is more at the
         end. What is fresher than 1 is still to come.
-    worn_out : float32 array (ny, nx)
     """
     ny, nx = worn_out.shape
     for n in range(len(ways)):

@@ -1,7 +1,5 @@
 """The report of one call of `WaterSolver.advance`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from rainsim.ledger import Ledger

@@ -3,29 +3,16 @@
 They are those that `rainsim.render` draws for the camera, each class as far as it shows one by one.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from rainsim.drops import impacts
 from rainsim.jit import cpu_kernel, prange, serial_kernel
+from rainsim.particles import splash
 from rainsim.particles.crown import LONGEST_JET, crown_shape, raise_crown, raise_jet
 from rainsim.particles.line_raster import NEAR
 from rainsim.particles.shutter_view import footprint
-from rainsim.particles.splash import (
-    LARGEST_SHARE,
-    LONGEST_LIFE,
-    SMALLEST_SPLASH,
-    WET_DEPTH,
-    Impact,
-    droplet,
-    droplets_of,
-    least_seen,
-    relative_size,
-    splashes_on,
-)
 from rainsim.particles.splash_pass import FARTHEST, MARGIN
 from rainsim.particles.streaks import streak_reach
 from rainsim.rain.dripping import drip_impacts, drips_seen
@@ -55,10 +42,6 @@ class Falling(NamedTuple):
 def falling_at(state, field, surfaces, camera, render, film):
     """Return what falls before a camera at the time of a state, a `Falling`.
 
-    state : SimState
-    field : RainField or None. None without rain.
-    camera : Camera. In the ground frame.
-    render : RenderConfig. Of that time.
     film : float [m]. Water on what is not the ground, see
         `splash_pass.draw_splashes`.
     """
@@ -99,12 +82,9 @@ def _drops(time, field, surfaces, camera, render):
 def _splashes(state, field, surfaces, camera, render, film):
     """Return droplets (m, 7) in flight and the threads (k, 7) of crowns and jets."""
     within = footprint(camera, FARTHEST, MARGIN)
-    recent = impacts(
-        field, surfaces, state.time - LONGEST_LIFE, state.time, SMALLEST_SPLASH, within
-    )
-    drips = drip_impacts(
-        state.drips, state.drip_id, surfaces, state.time - LONGEST_LIFE, state.time
-    )
+    since = state.time - splash.LONGEST_LIFE
+    recent = impacts(field, surfaces, since, state.time, splash.SMALLEST_SPLASH, within)
+    drips = drip_impacts(state.drips, state.drip_id, surfaces, since, state.time)
     hits = joined(recent, drips)
     hits = hits.take(_in_view(camera, hits.position))
     pixel = camera_points(camera, hits.position)[:, 2] / finest(camera)
@@ -149,18 +129,18 @@ def _list_splashes(
     """List what impacts have thrown up at a time, as `splash_pass.list_splash` draws it."""
     for n in range(len(hits.id)):
         age, diameter, speed = time - hits.time[n], hits.diameter[n], abs(hits.velocity[n, 2])
-        if not splashes_on(under[n], diameter, speed):
+        if not splash.splashes_on(under[n], diameter, speed):
             continue
-        impact = Impact(
+        impact = splash.Impact(
             hits.id[n], hits.position[n, 0], hits.position[n, 1], hits.position[n, 2],
             hits.velocity[n, 0], hits.velocity[n, 1], speed, diameter, under[n], age,
         )  # fmt: skip
-        size = relative_size(under[n] / diameter)
-        if diameter * LARGEST_SHARE > least_seen(pixel[n], exposure):
-            most = int(droplets_of(diameter, speed))
+        size = splash.relative_size(under[n] / diameter)
+        if diameter * splash.LARGEST_SHARE > splash.least_seen(pixel[n], exposure):
+            most = int(splash.droplets_of(diameter, speed))
             for k in range(most):
-                seen, x, y, z, vx, vy, vz, wide, _ = droplet(impact, k, most, size, 0.0)
-                if seen and wide > least_seen(pixel[n], exposure):
+                seen, x, y, z, vx, vy, vz, wide, _ = splash.droplet(impact, k, most, size, 0.0)
+                if seen and wide > splash.least_seen(pixel[n], exposure):
                     if count_droplets[0] < len(droplets_out):
                         row = count_droplets[0]
                         droplets_out[row, 0], droplets_out[row, 1] = x, y
@@ -168,7 +148,7 @@ def _list_splashes(
                         droplets_out[row, 4], droplets_out[row, 5] = vy, vz
                         droplets_out[row, 6] = wide
                     count_droplets[0] += 1
-        if under[n] > WET_DEPTH:
+        if under[n] > splash.WET_DEPTH:
             crown = crown_shape(impact, size, pixel[n])
             if age < crown.life:
                 raise_crown(impact, crown, pixel[n], MOMENT, count_lines, lines_out)

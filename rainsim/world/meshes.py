@@ -1,7 +1,5 @@
 """Meshes of the ground and of its puddles, and the ground as a binary glTF."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@
 All are in the ground frame, in metres with z up; a time code is a frame.
 """
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -89,10 +87,7 @@ def _dress(layer, clock):
 
 
 def write_world(path, names, clock, capture_from_ground=None):
-    """Write the stage that has the layers `names`, files beside it.
-
-    The matrix (4, 4) to a capture's large coordinates stands in its custom data.
-    """
+    """Write the stage that has the layers `names`, files beside it."""
     from pxr import Gf, Sdf
 
     layer = Sdf.Layer.CreateAnonymous(WORLD)
@@ -108,10 +103,7 @@ def write_world(path, names, clock, capture_from_ground=None):
 
 
 def camera_layer(cameras, clock, exposure):
-    """Return the Layer of a camera: one of the ground frame per frame, or one for all.
-
-    The pictures' size stands in render settings; `exposure` is in s.
-    """
+    """Return the Layer of a camera, one per frame or one for all, and the pictures' size."""
     from pxr import Gf, UsdGeom, UsdRender
 
     layer = Layer(clock)

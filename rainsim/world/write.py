@@ -1,7 +1,5 @@
 """All files of a scene in the rain for other renderers, frame by frame."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 from rainsim.drops import Weather
@@ -11,18 +9,9 @@ from rainsim.pipeline import frames_of, simulate
 from rainsim.scene.origin import capture_from_ground
 from rainsim.shading.wetness import paving_dampness
 from rainsim.simulation import surfaces_of
+from rainsim.world import usd_files
 from rainsim.world.falling import falling_at
 from rainsim.world.meshes import ground_mesh, water_mesh, write_glb
-from rainsim.world.usd_files import (
-    WORLD,
-    Clock,
-    RainLayer,
-    WaterLayer,
-    camera_layer,
-    capture_layer,
-    ground_layer,
-    write_world,
-)
 
 CAMERA, GROUND, WATER = "camera.usda", "ground.usdc", "water.usdc"
 RAIN, CAPTURE, GLB = "rain.usdc", "capture.usdc", "ground.glb"
@@ -30,29 +19,19 @@ BLOCK = 16  # frames that are held in memory; some 100 MB in a downpour at 1920 
 
 
 def write_parts(folder, scene, terrain, cameras, config, parts, first, tell):
-    """Write the parts of a scene in the rain into a folder.
-
-    folder : Path
-    cameras : sequence of Camera. One per frame or one for all, in the capture
-        frame.
-    parts : sequence of str. Among camera, ground, water, rain and capture.
-    first : float. Number of the first frame.
-    tell : callable. tell(stage, done, total) as frames go on.
-    Returns names : list of str. Of the files.
-        notes : list of str. What the files do not have.
-    """
+    """Write parts of a scene in the rain; return the files' names and notes on what they lack."""
     moves = not {"camera", "water", "rain"}.isdisjoint(parts)
-    clock = Clock(first, config.frames if moves else 0, config.fps)
+    clock = usd_files.Clock(first, config.frames if moves else 0, config.fps)
     cameras = [scene.ground_frame.camera_in_ground(camera) for camera in cameras]
     layers, notes = {}, []
     if "camera" in parts:
-        layers[CAMERA] = camera_layer(cameras, clock, config.render.exposure)
+        layers[CAMERA] = usd_files.camera_layer(cameras, clock, config.render.exposure)
     if "ground" in parts:
         ground = ground_mesh(terrain)
-        layers[GROUND] = ground_layer(ground, clock)
+        layers[GROUND] = usd_files.ground_layer(ground, clock)
         write_glb(folder / GLB, ground)
     if "capture" in parts:
-        layers[CAPTURE] = capture_layer(scene, clock)
+        layers[CAPTURE] = usd_files.capture_layer(scene, clock)
         notes += _left_out(scene)
     for name, layer in layers.items():
         layer.write(folder / name)
@@ -63,8 +42,8 @@ def write_parts(folder, scene, terrain, cameras, config, parts, first, tell):
             _fill(paths, terrain, cameras, config, clock, tell)
     names = [*layers, *growing]
     large = capture_from_ground(scene) if any(scene.origin) else None
-    write_world(folder / WORLD, names, clock, large)
-    return [WORLD, *names, *([GLB] if "ground" in parts else [])], notes
+    usd_files.write_world(folder / usd_files.WORLD, names, clock, large)
+    return [usd_files.WORLD, *names, *([GLB] if "ground" in parts else [])], notes
 
 
 def _left_out(scene):
@@ -78,8 +57,8 @@ def _left_out(scene):
 
 def _fill(paths, terrain, cameras, config, clock, tell):
     """Write each frame's water and rain to the files whose names are in `paths`, in blocks."""
-    water = WaterLayer(clock, paths[WATER]) if WATER in paths else None
-    rain = RainLayer(clock, paths[RAIN]) if RAIN in paths else None
+    water = usd_files.WaterLayer(clock, paths[WATER]) if WATER in paths else None
+    rain = usd_files.RainLayer(clock, paths[RAIN]) if RAIN in paths else None
     layers = [layer for layer in (water, rain) if layer is not None]
     weather, surfaces = Weather(config), surfaces_of(terrain)
     for done, state in enumerate(frames_of(simulate(terrain, config), config, tell), start=1):

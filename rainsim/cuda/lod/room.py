@@ -5,8 +5,6 @@ recently used first, makes room here, too. A chunk is sent when it is drawn for 
 its place was written.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.jit import cuda

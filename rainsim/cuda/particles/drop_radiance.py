@@ -1,7 +1,5 @@
 """Twin of `rainsim.particles.drop_radiance`: a block of threads for each cell and each place."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
@@ -26,11 +24,7 @@ _SUMMERS = 64  # threads that add up the pixels of a cell
 
 
 class DropLight:
-    """The light of drops over a picture.
-
-    drops, sheets : float32 device array (9, 13, 3). See
-        `rainsim.particles.drop_radiance.falling_light`.
-    """
+    """The light of drops and of sheets over a picture, (9, 13, 3), see `falling_light`."""
 
     def __init__(self):
         self.drops, self.sheets = (cuda.device_array((*GRID, 3), np.float32) for _ in range(2))
@@ -85,11 +79,6 @@ def fill_field(
 ):
     """Write the light of drops and splashes over a picture, a thread for each ray of a drop.
 
-    environment : float32 device array (rows, columns, 3)
-    everywhere : float32 device array (3,)
-    ground_from_camera : float32 device array (3, 3)
-    lens : float32 device array (4,) [px]
-    size : float32 device array (2,) [px]. Width and height of the picture.
     drops_out, sheets_out : float32 device array (9, 13, 3)
     """
     light = cuda.shared.array((_RAYS, 3), np.float32)

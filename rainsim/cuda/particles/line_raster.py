@@ -4,8 +4,6 @@ Twins of `particles.line_raster.read_depth` and `resolve_band`; the marks themse
 see `cuda.warp`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ZERO
@@ -24,8 +22,6 @@ _MOST = np.float32(np.inf)
 def read_depth(depth, columns_out, tile_depth_out):
     """Copy a depth picture column by column, and find each tile's greatest and least depth.
 
-    depth : float32 device array (height, width) [m]
-    columns_out : float32 device array (width * height,) [m]
     tile_depth_out : float32 device array (2, rows, columns) [m]. One block of
         threads for each tile.
     """
@@ -57,11 +53,7 @@ def read_depth(depth, columns_out, tile_depth_out):
 
 @cuda_kernel
 def resolve(picture, alpha_out):
-    """Turn summed optical depths into alpha, and blank them.
-
-    picture : int64 device array (width * height,)
-    alpha_out : float32 device array (height, width)
-    """
+    """Turn summed optical depths (width * height,) into alpha (height, width), and blank them."""
     room = cuda.shared.array((TILE, _PITCH), np.float32)
     height, width = alpha_out.shape
     left, top = cuda.blockIdx.x * TILE, cuda.blockIdx.y * TILE

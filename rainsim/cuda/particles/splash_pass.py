@@ -5,8 +5,6 @@ that does and lists its droplets and the pieces of its crown, a lane for each. A
 each piece.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda import drops
@@ -28,10 +26,7 @@ NEAREST = 0.05  # m, as on the CPU
 
 @cuda.jit(device=True)
 def seen_at(x, y, z, sent, scene):
-    """Return the depth [m] at which the camera sees a splash there; negative if it does not.
-
-    `sent` is a `ShutterView` of device arrays, and `scene` the `SceneDepth` of the picture.
-    """
+    """Return the depth [m] at which the camera sees a splash there; negative if it does not."""
     rotation, lens = sent.rotation, sent.lens
     x, y, z = x - sent.eye[0], y - sent.eye[1], z - sent.eye[2]
     deep = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
@@ -73,17 +68,11 @@ def list_splashes(
 ):  # fmt: skip
     """List the droplets, crowns and jets of listed impacts that splash in view.
 
-    lists : ImpactLists
-    per_list : int. Blocks of threads for each list.
-    velocity : float64 device array (CLASSES, 3) [m/s]
     sent : ShutterView
-    scene : SceneDepth. For the size of the picture.
     water : WaterDepth. Its film a device array of shape (1,), float64 [m].
     least : int32 device array (1,). The smallest class of drops that may splash.
     count_out : int32 device array (1,). Raised by the number of lines, also of
         those for which there is no room.
-    lines_out : float64 device array (room, 7). The columns of
-        `particles.streaks.Line`.
     """
     chosen = cuda.shared.array(THREADS, np.int32)
     depths = cuda.shared.array((THREADS, 2), np.float64)  # of the scene and of the water there
@@ -135,13 +124,7 @@ def list_splashes(
 
 @cuda_kernel
 def draw_list(count, lines, sent, scene, picture):
-    """Draw listed lines, a group of lanes for each.
-
-    count, lines. As `list_splashes` left them.
-    sent : ShutterView
-    scene : SceneDepth
-    picture : int64 device array (width * height,). Added to.
-    """
+    """Draw listed lines into `picture`, a group of lanes for each."""
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
     draw_lines(
         lines, first, min(count[0], lines.shape[0]), cuda.gridDim.x * cuda.blockDim.y,
@@ -156,9 +139,6 @@ class Splashes:
         times and what it has read of the depth are used, so it is drawn before.
     recent : cuda.rain.impact_history.RecentImpacts. What falls until the
         exposure's end.
-    alpha : float32 device array (height, width). Share of light that splashes
-        replace.
-    lines : float64 device array (room, 7). See `list_splashes`.
     """
 
     def __init__(self, streaks, recent):

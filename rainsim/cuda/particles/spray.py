@@ -4,8 +4,6 @@ The host finds the drops and the clouds, as for frames of the CPU. The drops are
 streaks of the rain; of the clouds a thread takes a pixel through all.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
@@ -23,14 +21,7 @@ BLOCK = (8, 4) if SIMULATED else (32, 8)  # threads, one a pixel
 
 @cuda_kernel
 def lay_clouds(many, clouds, boxes, lens, depth, alpha_out):
-    """Put clouds before a picture; see the CPU's kernel.
-
-    many : int32 device array (1,)
-    clouds, boxes : float32 device array (room, 5), and (room, 4), int32. See
-        `cloud_table`.
-    lens : float32 device array (8,). Whose first four are fx, fy, cx, cy [px].
-    depth, alpha_out : float32 device array (height, width)
-    """
+    """Put listed clouds before a picture; arrays are those of `particles.spray.cloud_table`."""
     column, row = cuda.grid(2)
     height, width = alpha_out.shape
     if row >= height or column >= width:

@@ -6,8 +6,6 @@ and a group of lanes draws it, a lane a stretch of the path. Optical depths are 
 are added up, so that no order matters.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -72,15 +70,10 @@ def _cube_of(task, counts, air):
 def list_drops(counts, air, sent, field, scene, sought_out, places_out, words_out, paths_out):
     """List the drops that may be in view, cube by cube.
 
-    counts : int64 device array (CLASSES + 1,). As in `drops.Columns`, but of
-        cubes.
-    air : SeenAir
     sent : ShutterView
     field : DropField. Of device arrays.
-    scene : SceneDepth
     sought_out : int32 device array (1,). Raised by the number of drops.
     places_out : int32 device array (room, 4). Class and cube.
-    words_out : uint64 device array (room,). The drops' ids.
     paths_out : float32 device array (room, PATH). X to IS_CLEAR.
     """
     seen = cuda.shared.array((THREADS, 4), np.int32)  # class and cube
@@ -162,14 +155,10 @@ def _path_of(word, cube, corners, air, field, view, scene):
 def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, large_out):
     """Find how much of their path the drops in view go before they meet something.
 
-    sought, places, words. As `list_drops` left them.
-    sent : ShutterView
-    field : DropField
     surfaces : HeightFields. Both of device arrays.
     paths_out : float32 device array (room, PATH). SHARE, 0 for drops that have
         ended and less for large ones, and DIAMETER.
     many_out : int32 device array (1,). Raised by the number of large ones.
-    large_out : int32 device array (MANY,). Which they are.
     """
     time, exposure = sent.time[0], sent.exposure[0]
     for n in range(cuda.grid(1), min(sought[0], words.shape[0]), cuda.gridsize(1)):
@@ -207,15 +196,7 @@ def _pixels(path, diameter, lens):
 
 @cuda_kernel
 def draw_field(sought, paths, lens, scene, picture):
-    """Draw the drops in view except the large ones, a group of lanes for each.
-
-    sought : int32 device array (1,). Drops in view.
-    paths : float32 device array (room, PATH). As `list_drops` and `follow` left
-        them.
-    lens : float32 device array (8,)
-    scene : SceneDepth. Of device arrays.
-    picture : int64 device array (width * height,). Added to.
-    """
+    """Draw the drops in view except the large ones, a group of lanes for each."""
     listed = min(sought[0], paths.shape[0])
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
     for n in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
@@ -225,12 +206,7 @@ def draw_field(sought, paths, lens, scene, picture):
 
 @cuda_kernel
 def draw_large(many, large, paths, lens, scene, picture):
-    """Draw the large drops in view, a warp for each; see `draw_field`.
-
-    many : int32 device array (1,)
-    large : int32 device array (MANY,). As `follow` left them.
-    paths, lens, scene, picture
-    """
+    """Draw the large drops in view, a warp for each; see `draw_field`."""
     listed = min(many[0], large.shape[0])
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
     for at in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
@@ -249,12 +225,6 @@ class Streaks:
 
     field : RainField. Of the weather; `update` takes those of other times.
     surfaces : Surfaces or HeightFields. The latter of device arrays.
-    width, height : int [px]
-    alpha : float32 device array (height, width). Share of light that drops
-        replace.
-    room : int. Drops in view that the lists have room for.
-    view : ShutterView
-    scene : SceneDepth. Both of device arrays, as the drawing kernels read them.
     drips : cuda.rain.drip_list.DripList or None. Drips that are drawn too.
     spray : cuda.particles.spray.Spray or None. What tyres throw, drawn too.
     surfaces : HeightFields. Of device arrays.

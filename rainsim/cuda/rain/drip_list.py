@@ -1,7 +1,5 @@
 """Drips in the air and those that have just landed, as a list on a CUDA device, and as pictures."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -25,13 +23,7 @@ X, Y, TOP, BOTTOM, DIAMETER, BEGIN, END, DRIP_WIND_X, DRIP_WIND_Y = range(DRIP)
 
 
 class ListedDrips(NamedTuple):
-    """Listed drips.
-
-    count : int
-    table : float64 device array (room, DRIP). See
-        `rainsim.io.states.DRIP_COLUMNS`.
-    ids : uint64 device array (room,)
-    """
+    """Listed drips: their number, the `DRIP_COLUMNS` of each, and their ids."""
 
     count: int
     table: object
@@ -50,12 +42,7 @@ def cell_of(x, y, surfaces):
 
 @cuda_kernel
 def draw_drips(drips, sent, scene, picture):
-    """Draw listed drips in the streaks' picture, a group of lanes for each.
-
-    sent : ShutterView
-    scene : SceneDepth
-    picture : int64 device array (width * height,). Added to.
-    """
+    """Draw listed drips in the streaks' picture, a group of lanes for each."""
     time, exposure, table, view = sent.time[0], sent.exposure[0], drips.table, view_of(sent)
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
     for n in range(first, drips.count, cuda.gridDim.x * cuda.blockDim.y):
@@ -69,12 +56,7 @@ def draw_drips(drips, sent, scene, picture):
 
 @cuda_kernel
 def list_drip_splashes(drips, surfaces, sent, scene, water, count_out, lines_out):
-    """List the droplets, crowns and jets of drips that have landed, a group of lanes for each.
-
-    surfaces : HeightFields. Of device arrays.
-    sent, scene, water, count_out, lines_out. As `splash_pass.list_splashes` has
-        them.
-    """
+    """List the marks of drips that have landed, as `splash_pass.list_splashes` does."""
     time, exposure, focal = sent.time[0], sent.exposure[0], focal_of(sent.lens)
     table = drips.table
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y

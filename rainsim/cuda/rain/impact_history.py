@@ -4,8 +4,6 @@ A frame shows the splashes of a quarter of a second. Listing the hits of an inte
 drawing their splashes, so each interval is listed once and kept.
 """
 
-from __future__ import annotations
-
 import math
 
 from rainsim.cuda.drops import Impacts, room_for
@@ -15,7 +13,6 @@ from rainsim.particles.splash import LONGEST_LIFE
 class RecentImpacts(Impacts):
     """The impacts of the last moments, a list for each interval that a frame shows.
 
-    weather : Weather. Of a rain.
     rate : float [Hz]. Interval n is from n to n + 1 over this.
     ahead : int. Intervals after a frame's time that its exposure sees.
     """

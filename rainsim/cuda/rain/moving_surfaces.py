@@ -3,8 +3,6 @@
 The host puts the actors onto its map; the windows that they cover, and have covered, are sent.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.driver import Staging
@@ -19,13 +17,7 @@ BLOCKS = ("patch_high", "around_high")
 
 
 class MovingHeights:
-    """The height fields of a terrain with the actors on it, on a device.
-
-    still : Surfaces. Without what moves.
-    footprints : sequence of Footprint
-    fields : HeightFields. Of device arrays, with a sky above all that the actors
-        ever reach.
-    """
+    """The height fields of a terrain with the actors on it, on a device; `still` is without."""
 
     def __init__(self, still, footprints):
         fields = sent_surfaces(still)
@@ -49,12 +41,7 @@ class MovingHeights:
 
 
 class Shelter:
-    """What moves over the water of a device keeps the rain off it.
-
-    terrain : Terrain. With footprints.
-    wind : tuple. As `MovingSurfaces` takes it, and the roughness.
-    sources : DeviceSources. Of the water.
-    """
+    """What moves over the water of a device keeps the rain off it."""
 
     def __init__(self, terrain, wind, sources):
         self._moving, self._sources = MovingSurfaces(terrain, *wind), sources

@@ -5,8 +5,6 @@ compute the layers from them. Mirrored pictures and the dry picture are splatted
 costs what it costs on the CPU, less the splatting.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.render.frame import INPUTS, PASSES, Frame
@@ -27,12 +25,7 @@ class AovReader:
         self._passes = Passes()
 
     def made(self, names, state, drawn):
-        """Return a `Frame` of the host with the named AOVs, and the light that recomposes it.
-
-        names : sequence of str. Of `aov.AOVS`.
-        state : SimState or DeviceState
-        drawn : Frame. Of device arrays.
-        """
+        """Return a `Frame` of the host with the named AOVs, and the light that recomposes it."""
         frame = Frame((*PASSES, *LAYER_PASSES))
         for name in INPUTS:
             if name not in FETCHED:

@@ -1,7 +1,5 @@
 """What the passes of a device read: the maps and numbers of a frame, sent from the host."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -21,13 +19,7 @@ from rainsim.shading.wetting import SkyMaps
 
 
 class DeviceTables:
-    """Maps and numbers on a device; `tables["rings"]` is a device array.
-
-    conductor : Conductor
-    place : tuple. Corner (2,) and spacing [m] of the map.
-    camera : DeviceView. Of the frame.
-    march : MarchSettings. Of the frame.
-    """
+    """Maps and numbers on a device; `tables["rings"]` is a device array."""
 
     def __init__(self, conductor):
         self.conductor, self.camera = conductor, DeviceView()
@@ -142,11 +134,8 @@ class DeviceTables:
               mirrored=False):  # fmt: skip
         """Queue the grading and wetting of the layers of a picture.
 
-        layers : DeviceLayers
-        camera : DeviceView
         picture_out, depth_out, clearance_out, cover_out : device array. See
             `grade_and_wet`; without the last the film's mirror is not apart.
-        mirrored : bool
         """
         scene, shape = self.conductor.wet_scene, layers.alpha.shape
         layer = scene.ground.thickest_layer

@@ -3,8 +3,6 @@
 Each takes device arrays and queues the work on the device; some wait for a count.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.jit import cuda
@@ -28,8 +26,6 @@ from rainsim.ssr import bounds_of
 class Passes:
     """The passes of a frame on a GPU, with what they keep from one frame to the next.
 
-    conductor : Conductor
-    tables : DeviceTables
     work : dict of str to callable. By the names of the passes, see `Frame.make`.
         What is no pass of the device has no entry: the level picture is splatted
         with the light on wet ground, drops are listed as they are drawn.

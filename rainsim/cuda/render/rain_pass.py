@@ -1,7 +1,5 @@
 """Twin of `rainsim.render.rain_pass`: streaks, splashes and fog of one frame after another."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -26,10 +24,7 @@ NO_RAIN = RainField(RainSpectrum(0.0))
 
 
 class RainPass:
-    """Draws streaks, splashes, drips and spray before a picture.
-
-    conductor : Conductor
-    """
+    """Draws streaks, splashes, drips and spray before a picture."""
 
     def __init__(self, conductor):
         self._conductor, ground = conductor, conductor.ground

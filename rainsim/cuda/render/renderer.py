@@ -5,8 +5,6 @@ stands in `rainsim.cuda.render.passes`. The finished picture is copied to the ho
 frame is drawn.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -46,7 +44,6 @@ class Renderer:
 
     conductor : Conductor. Scene, light, weather and ground; its capture's
         rasterizer draws on the device, its `frame` holds device arrays.
-    passes : Passes
     takes_any_height : bool. No: memory is allocated again.
     """
 

@@ -5,8 +5,6 @@ against its square, packs those that reach it into its own shared memory, and bl
 without a branch (an empty one fills up). It stops when all its pixels let less than 1e-4 through.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

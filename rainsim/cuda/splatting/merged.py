@@ -4,8 +4,6 @@ A thread takes a splat: its place, covariance and normal turn with the actor, an
 mixed within each degree. The static set and all addresses stay as they are.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -28,14 +26,10 @@ def pose_splats(
     """Put splats where their actors are; chunks of none are not drawn.
 
     owner : int32 device array (chunks,). Actor of each chunk; -1 for none.
-    poses : float32 device array (actors, 12)
     mixing : float32 device array (actors, k, k). Takes the k harmonics of a
         channel to those after the turn.
     boxes : float32 device array (chunks, 6). Middle and half sides of each
         chunk's box in its actor's frame.
-    geometry : float32 device array (chunks, 13, 256). See `PreparedSplats`, in
-        the actors' frames.
-    sh : float32 device array (chunks, 3 k, 256)
     groups : int. Of eight halves, see `project.splat_color`.
     box_out, span_out, geometry_out, sh_out. Of a `DeviceSplats`, whose first
         chunks are written.
@@ -93,10 +87,8 @@ def pose_splats(
 class PosedActors:
     """The actors of a `DeviceSplats`, one moment after another.
 
-    splats : DeviceSplats. With room for all parts.
     parts : sequence of PreparedSplats. Of each actor, in its frame; harmonics of
         the degree of `splats`.
-    turning : sequence of bool. Whether the harmonics of each turn with it.
     """
 
     def __init__(self, splats, parts, turning):
@@ -145,9 +137,7 @@ class PosedActors:
     def order(self, static, shown, first):
         """Return the numbers of all places' splats, those of the static set behind the actors'.
 
-        static : int32 array (n,). Of the static set.
         shown : sequence of bool. Which actors are there: only they have numbers.
-        first : int. Of the first of them.
         """
         found = np.full(self._room * LANES, NOBODY, np.int32)
         for begin, order, seen in zip(self._first, self._orders, shown, strict=False):

@@ -5,8 +5,6 @@ moment by moment. Those whose colours change are sent for each moment, as
 `rainsim.splatting.merged` has them on the host. The room's other chunks are never drawn.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.jit import cuda
@@ -24,11 +22,9 @@ MOST_NUMBERS = 1 << 24  # whole numbers that a float32 tells apart
 class DeviceSplats:
     """Prepared splats on the device: sent once, shared by all pictures.
 
-    prepared : rainsim.raster.PreparedSplats. The static set.
     room : int. Chunks of actors that there is room for.
     chunks, static, leading : int. Chunks with the room, without it, and with it
         those that were not to come last.
-    count : int. Splats, at most.
     rank : int32 device array (chunks,). The order in which splats of one depth
         are taken.
     """
@@ -84,11 +80,7 @@ class DeviceSplats:
             self.sh[at : at + halves.size].copy_to_device(halves)
 
     def put_actors(self, merged):
-        """Send the actors of a merged set.
-
-        merged : PreparedSplats. Of `splatting.merged.Merger`: chunks of actors,
-            then those of the static set, which are on the device already.
-        """
+        """Send the actors of a merged set; its static chunks are on the device already."""
         used, room = len(merged.box) - self.static, self.room
         first = room - used
         if used:

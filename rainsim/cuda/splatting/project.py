@@ -7,8 +7,6 @@ An entry is a 32-bit key, tile * levels + level of the depth, and a value: the s
 bits, above them one bit for each quarter of 8 x 8 pixels of the tile that the splat's box meets.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -64,10 +62,6 @@ def start(
         (chunks, 6), float32. `box`, `span` and `reach` of the prepared splats.
     view, lens, size, near, plane : device array. Numbers of the camera: pose (3,
         4), lens, width and height, the four from NEAR on, plane.
-    orthographic : bool
-    seen_out : bool device array (chunks,)
-    begin_out, end_out : int32 device array (tiles,)
-    total_out : int32 device array (1,)
     """
     i = cuda.grid(1)
     if i == 0:

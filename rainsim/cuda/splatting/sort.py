@@ -1,7 +1,5 @@
 """The sort of a picture's entries: cuda.compute's radix sort, in the simulator numpy's."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import os
@@ -20,10 +18,7 @@ from rainsim.jit import KERNELS
 
 
 def sort_pairs(key, value, key_out, value_out, count, workspace):
-    """Queue the sort of the first `count` keys and values into the arrays that follow them.
-
-    workspace : rainsim.cuda.raster.Workspace
-    """
+    """Queue the sort of the first `count` keys and values into the arrays that follow them."""
     if SIMULATED:
         order = np.argsort(key.copy_to_host()[:count], kind="stable")
         for array, array_out in ((key, key_out), (value, value_out)):

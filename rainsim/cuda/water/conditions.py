@@ -5,8 +5,6 @@ along the conditions is sent before each launch and read after it. The rest of t
 device.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.cuda.driver import Counted, Staging
@@ -26,10 +24,6 @@ DEPTH, U, V, REMAINDER, FILM = range(5)
 def read_cells(places, parity, w, remainder, film, table_out):
     """Copy the numbers of some cells into a table.
 
-    places : int64 device array (cells,)
-    parity : int. Of the present copy of `w`.
-    w, remainder, film : device arrays, float32. As the step and the sources have
-        them.
     table_out : float32 device array (5, cells). See DEPTH to FILM.
     """
     n = cuda.grid(1)
@@ -68,12 +62,7 @@ def walls_at(condition, shape, is_open):
 
 
 class Strip:
-    """The cells along conditions, and their ghosts, between a device and its host.
-
-    conditions : list of Condition
-    flow : DeviceLeanFlow. Its fields on the host are used and changed.
-    sources : DeviceSources. Of their films.
-    """
+    """The cells along conditions, and their ghosts, between a device and its host."""
 
     def __init__(self, conditions, flow, sources):
         self._flow, self._sources = flow, sources

@@ -4,8 +4,6 @@ It decides about a step as `LeanFlow` does, whose code it shares; what is done t
 by the kernels of `rainsim.cuda.water.flow`, after each of which the host reads what it found.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 
@@ -22,11 +20,7 @@ from rainsim.water.conserving_flow import LeanFlow
 class DeviceLeanFlow(LeanFlow):
     """The flow of "lean" whose fields lie on a CUDA device.
 
-    flow : LeanFlow. Of float32; `restore` takes over its state.
-    layout : flow.Layout
     parity : int. Which copy of the fields is the present one.
-    fields, remainder : float32 device array. See `flow.step`.
-    strip : conditions.Strip or None. What conditions at edges read and write.
     has_changed : bool. Whether a launch has moved water since somebody set it to
         False.
     """

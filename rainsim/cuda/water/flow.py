@@ -10,8 +10,6 @@ twice; `parity` is the number of the present copy. Ghost cells never change: wat
 through the edges, so the upwind cell lies inside. The faces of walls stay 0.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -131,8 +129,6 @@ def step(
 ):  # fmt: skip
     """Advance depth from n to n+1, velocity from n+1/2 to n+3/2.
 
-    ground : Ground. Of flat device arrays.
-    parity : int. Of the copy that is read; the other one is written.
     w_out : float32 device array (2 * 3 * cells,). Both copies of depth [m] and of
         the velocities of west and south faces [m/s].
     found_out : float64 device array (3, blocks). Largest speeds [m/s] of waves and
@@ -279,10 +275,6 @@ def _fall(here, level, there, bed_there):
 def measure(w, bed, layout: Layout, parity, lowest, found_out):
     """Find the maxima that set the first step and the cap.
 
-    w : float32 device array (2 * 3 * cells,). Both copies of depth [m] and face
-        velocities [m/s].
-    bed : float32 device array (cells,) [m]
-    lowest : float32 [m]. Least height of the bed.
     found_out : float64 device array (4, blocks). Of each block the largest speed
         of a face [m/s], depth, fall between two cells and height above the lowest
         bed [m].

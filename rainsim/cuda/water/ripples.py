@@ -6,8 +6,6 @@ A block transforms a row in shared memory and writes it as a column; twice that 
 two dimensions.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -108,7 +106,6 @@ def transform_pushes(pushes, cosines, sines, n, re_out, im_out):
 
     pushes : int64 device array (2 * maps * n * n,). Momentum in PUSH_UNIT.
     cosines, sines : float32 device array (n,). Of full turns over n.
-    n : int
     re_out, im_out : float32 device array (maps * n * n,). Transposed.
     """
     re = cuda.shared.array((2, MOST), np.float32)
@@ -131,11 +128,7 @@ def transform_pushes(pushes, cosines, sines, n, re_out, im_out):
 def transform(re_in, im_in, cosines, sines, n, sign, re_out, im_out):
     """Transform the rows of complex maps; a block for each row.
 
-    re_in, im_in : float32 device array (maps * n * n,)
-    cosines, sines : float32 device array (n,). Of full turns over n.
-    n : int
     sign : float32. -1 for forward, 1 for backward; not scaled.
-    re_out, im_out : as `re_in`. Transposed.
     """
     re = cuda.shared.array((2, MOST), np.float32)
     im = cuda.shared.array((2, MOST), np.float32)
@@ -156,8 +149,6 @@ def turn(re, im, steps, n, inverse_size, cosine, sine, push, wave, waves_out, re
 
     re, im : float32 device array (SIZES * maps * n * n,). Transforms of the
         momentum by size of the drops and part of the interval, two in one.
-    steps, n : int. Parts of the interval, and cells along a side.
-    inverse_size : float32 [1/m]. 1 over the size of the tile.
     cosine, sine : device array of shape (n * (n // 2 + 1),), float32. What a wave
         turns by in a part of the interval, damping included.
     push : device array of shape (SIZES * n * (n // 2 + 1),), float32. What
@@ -209,8 +200,6 @@ def turn(re, im, steps, n, inverse_size, cosine, sine, push, wave, waves_out, re
 def lay_moments(re, im, moments_out):
     """Write the moments of the finest resolution; see `reflection.slope_moments.ripple_moments`.
 
-    re, im : float32 device array (2, n, n). Slopes along x and y, then heights
-        over the tile's size and nothing.
     moments_out : float32 device array (n, n + n // 2, MOMENTS). Its first n
         columns are written.
     """
@@ -236,8 +225,6 @@ def halve_moments(level, moments):
 class Ripples:
     """A tile of rings on a CUDA device.
 
-    tile : RippleTile. Its state is copied and it is left alone.
-    duration : float [s]. From one frame to the next.
     tile : RippleTile. Its `steps` are the parts of the interval in which
         impacts are put together.
     pushes : device array, int64. Momentum of drops that fell since, in
@@ -282,8 +269,6 @@ class Ripples:
     def ring(self, position, momentum, age):
         """Queue the ringing of drops of the host.
 
-        position : array (n, 2) [m]
-        momentum : array (n,) [kg m/s]
         age : array (n,). Time since they came down over that of the frame.
         """
         if len(age):

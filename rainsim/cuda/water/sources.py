@@ -4,8 +4,6 @@ Drops that are deposited wait as whole numbers, so that their order does not mat
 sources are applied for no time. A cell drains or its ground takes water, not both.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -55,13 +53,8 @@ def apply_sources(
 ):  # fmt: skip
     """Add rain, take losses and fill the films, then sum up; see `water.sources.apply_sources`.
 
-    soil : Soil
-    parity : int. Of the present copy of `w_out`.
-    rate : float32 [m/s]. Of the rain.
     dt : float [s]. If 0 the drops that wait are added; if negative nothing is
         done but the sums and the depth.
-    w_out : float32 device array. As `flow.step` has it.
-    remainder_out, film_out : float32 device array (cells,) [m]
     waiting_out : int64 device array (cells,). Depth of drops, in UNIT; blanked
         where they are added.
     depth_out : float32 device array (ny - 4, nx - 4) [m]. Depth above the bed,
@@ -126,13 +119,9 @@ def add_drops(count, places, depths, waiting_out):
 class DeviceSources:
     """The sources of a `DeviceLeanFlow`: what `Sources` has, on the device.
 
-    flow : DeviceLeanFlow
-    given : Sources. Of a solver of the same map; `restore` takes over its state.
     exposure : float32 array (ny, nx), optional. Share of the rain that falls on
         each cell; that of `given` by default.
-    exposed : float. Share of the rain that falls on each cell, summed over them.
     waiting : int64 device array. Depth of drops that were deposited since, in UNIT.
-    film_there : float32 device array. The films.
     depth : float32 device array (ny, nx) [m]. Depth above the bed, film included,
         as of the last `apply` or `standing`.
     """

@@ -5,8 +5,6 @@ turned into a ground frame and taken to a capture frame that, like that of a rea
 tilted, has y downwards and is not metric.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The surroundings of the garden: a line of far trees and a bright overcast sky."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.bicycle.plants import crown

@@ -1,7 +1,5 @@
 """The park bench: wooden slats on two cast-iron ends."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes import build

@@ -4,8 +4,6 @@ Built upright in its own frame (x back to front, y to its left, z up, ground at 
 x = 0), the front end turned about the steering axis, then leaned and set down by the bench.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.build import (

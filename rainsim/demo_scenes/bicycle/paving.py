@@ -1,7 +1,5 @@
 """The paved path: shape of its bed, flagstones in a broken bond, joints and fallen leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.build import OVERLAP, cells, discs, join, lit, unit
@@ -64,10 +62,7 @@ def bed_normal(x, y, height, noise, reach=0.02):
 
 
 def flagstones(rng):
-    """Lay rectangles of 1 to 3 modules without gaps; rows of x0, y0, x1, y1 and kind, (n, 5).
-
-    Kind 0 is a flagstone, 1 a sett of the kerb.
-    """
+    """Lay rectangles of 1 to 3 modules without gaps; rows x0, y0, x1, y1 and kind (1: a sett)."""
     depth = FAR_EDGE - NEAR_EDGE - 2 * KERB
     rows, columns = round(depth / MODULE), round(2 * HALF_LENGTH / MODULE)
     tall, wide = depth / rows, 2 * HALF_LENGTH / columns

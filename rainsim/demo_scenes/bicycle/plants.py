@@ -1,7 +1,5 @@
 """Lawn, hedges, bushes and trees."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.bicycle.paving import FAR_EDGE, NEAR_EDGE
@@ -156,10 +154,7 @@ def _daisies(noise, rng, count=420):
 
 
 def _leaves(points, outward, colour, size, light, rng, plump=0.0):
-    """Return leaves: small discs facing roughly `outward`, of varied tone.
-
-    `plump` is thickness over size: 0 for single leaves, more for splats that stand for many.
-    """
+    """Return leaves: small discs facing roughly `outward`; `plump` is thickness over size."""
     n = len(points)
     normal = unit(outward + rng.normal(0, 0.55, (n, 3)) + (0, 0, 0.25))
     tone = rng.uniform(0.80, 1.20, (n, 1)) * (1 + rng.normal(0, 0.045, (n, 3)))

@@ -6,8 +6,6 @@ x along the street, then taken to a capture frame that, like that of a real capt
 y downwards and is not metric.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

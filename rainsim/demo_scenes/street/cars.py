@@ -1,7 +1,5 @@
 """Parked cars: bodies lofted through cross-sections, wheels, lamps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.build import box, discs, join, lit, moved, polished, turn_about, unit

@@ -1,7 +1,5 @@
 """Houses along the street: brick and render, windows dark and lit, shops on the ground floor."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.build import OVERLAP, box, cells, discs, join, line, replace_colour
@@ -311,11 +309,7 @@ def _dwelling(wall, width, parts, wall_part, rng):
 
 
 def houses(noise, rng, reach, depth):
-    """Return all fronts and the glows on the ground: rows of x, y, reach [m], strength.
-
-    `reach` is the first and the last x of the street [m], `depth` [m] goes from its middle to the
-    fronts.
-    """
+    """Return all fronts and the glows on the ground: rows of x, y, reach [m], strength."""
     parts, glows = [], []
     for side in (-1, 1):
         x = reach[0]

@@ -1,7 +1,5 @@
 """The street's kerbs and flagged footways."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.build import OVERLAP, box, discs, join, replace_colour, strands
@@ -28,10 +26,7 @@ ARC = 7  # blocks of a kerb at a corner
 
 
 def footway_cloud(noise, rng, layout=LAYOUT):
-    """Return the `Cloud` of the kerbs and flagged footways on both sides of the street.
-
-    `noise` (a `Noise`) mottles the flags and raises and lowers the ground; `rng` is numpy's.
-    """
+    """Return the `Cloud` of the kerbs and flagged footways on both sides of the street."""
     parts = []
     for side in (-1, 1):
         parts.append(_kerb(side, rng, layout))

@@ -1,7 +1,5 @@
 """Things on the footways: lamp posts, bollards, a post box, bins and street trees."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes.bicycle.plants import crown

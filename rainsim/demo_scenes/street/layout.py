@@ -4,8 +4,6 @@ The built-in street has one `Layout` that was made by hand (`road.LAYOUT`); a st
 length has one that `long_layout` draws by a seed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,11 +97,7 @@ class Standing:
 
 
 def long_layout(length, seed, shapes):
-    """Return the `Layout` and the `Standing` of a street of a length [m].
-
-    The length is that of the drive and what lies ahead of its end. One of `shapes` is drawn for
-    each car.
-    """
+    """Return the `Layout` and the `Standing` of a street of a length [m] with cars of `shapes`."""
     rng = np.random.Generator(np.random.PCG64((seed, 11)))
     ends = (BEFORE, float(length))
     sides = tuple(np.arange(FIRST_SIDE, length - 30.0, SIDE_STEP))

@@ -3,8 +3,6 @@
 It is made piece by piece, so that a kilometre need never be in memory at once.
 """
 
-from __future__ import annotations
-
 import itertools
 from functools import partial
 

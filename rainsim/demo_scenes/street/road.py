@@ -1,7 +1,5 @@
 """The street's ground: cambered asphalt, gutters that fall to drains, kerbs, flagged footways."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.demo_scenes import build
@@ -62,10 +60,7 @@ def crown_of(layout):
 
 
 def from_middle(x, y, layout):
-    """Return how far places are from the middle of the road [m]; KERB at every kerb.
-
-    A side street joins the road with rounded corners.
-    """
+    """Return how far places are from the middle of the road [m]; KERB at every kerb."""
     away = np.abs(y)
     across = away - KERB
     for side in layout.sides:
@@ -177,10 +172,7 @@ def _normals(points, noise, layout, reach=0.03):
 
 
 def road_cloud(noise, rng, layout=LAYOUT):
-    """Return the `Cloud` of the carriageway with its gutters, paint, cracks, covers and grates.
-
-    `noise` (a `Noise`) gives unevenness and stains; `rng` is numpy's.
-    """
+    """Return the `Cloud` of the carriageway with its gutters, paint, cracks, covers and grates."""
     where, size = lattice(-KERB, KERB, rng, layout)
     along = where[:, 0]
     if layout.sides:
@@ -303,10 +295,7 @@ def _covers(noise, rng, layout):
 
 
 def ground_light(cars, layout=LAYOUT):
-    """Return a function that gives the light at ground points, (n, 3) to (n,).
-
-    `cars` are rows of x, y, half length and half width [m]: the sky hardly reaches below them.
-    """
+    """Return a function for the light at ground points: little below cars (x, y, half sizes)."""
 
     def light(points):
         x, y = points[:, 0], points[:, 1]
@@ -327,10 +316,7 @@ def ground_light(cars, layout=LAYOUT):
 
 
 def lit_ground(cloud, light, glows):
-    """Return ground splats in the light of the sky and of lamps and windows.
-
-    `glows` are rows of x, y, reach [m] and strength: warm light that falls on the ground near them.
-    """
+    """Return ground splats in skylight and that of `glows`: rows of x, y, reach [m], strength."""
     value = light(cloud.position)
     cloud = build.lit(cloud, value)
     warm = np.zeros(len(cloud))

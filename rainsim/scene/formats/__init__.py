@@ -5,8 +5,6 @@ up, back) and glTF y up, so their splats are rotated. A USD stage says where up 
 unit is; its splats are in metres with z up.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,10 +35,8 @@ HINTS = {
 class Reading:
     """The splats read from a splat file, with its format and notes.
 
-    splats : Splats
     format : str. For people: "3DGS PLY", "SPZ" and so on.
     notes : tuple of str. What was converted or dropped, one line each.
-    broken : int. Splats that were dropped because their values are not usable.
     """
 
     splats: Splats
@@ -82,13 +78,7 @@ def read(path, max_broken=MAX_BROKEN_SHARE):
 
 
 def splat_blocks(path):
-    """Return a function that yields the `Splats` of a splat file in parts, and the file's format.
-
-    A PLY is read part by part, so that its size does not count; files of other formats are read
-    whole.
-
-    path : path-like. As `read_splats` takes it.
-    """
+    """Return a function that yields a splat file's `Splats` in parts, and the file's format."""
     from rainsim.scene.ply import BLOCK, plain_blocks
     from rainsim.scene.plyheader import header_of
 

@@ -5,8 +5,6 @@ and a quaternion, w first (4 bytes about 128). There is no header; the numbers t
 a file is of this format.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import SH_0

@@ -4,8 +4,6 @@ Chunks hold the range of positions, log scales and (newer files) colours; a spla
 them in 11, 10 or 8 bits; an optional element holds spherical harmonics as bytes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import InputError
@@ -23,13 +21,9 @@ PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
 
 def read_compressed(path, header, max_broken):
-    """Return the Splats of a compressed PLY, notes and how many splats were dropped.
-
-    header : Header. As `rainsim.scene.plyheader.read_header` returns it.
-    max_broken : float. Largest share of broken splats that is tolerated.
-    """
+    """Return the Splats of a compressed PLY, notes and how many splats were dropped."""
     tables = _read_tables(path, header)
-    chunks, packed = _chunk_table(path, tables), _packed_table(path, tables)
+    chunks, packed = _chunk_table(path, tables), _columns(path, tables, "vertex", PACKED, "<u4")
     harmonics = _harmonics_table(path, tables, len(packed))
     if len(chunks) != -(-len(packed) // CHUNK):
         raise InputError(
@@ -92,10 +86,6 @@ def _chunk_table(path, tables):
     if not np.isfinite(table).all():
         raise InputError(f"{path} has chunks whose ranges are not finite; {REMEDY}")
     return table
-
-
-def _packed_table(path, tables):
-    return _columns(path, tables, "vertex", PACKED, "<u4")
 
 
 def _harmonics_table(path, tables, count):

@@ -5,8 +5,6 @@ first, down to the size of every array that a decoder indexes. Any error that a 
 becomes one line.
 """
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from importlib import import_module
 
@@ -16,10 +14,7 @@ INSTALL = 'pip install "rainsim[formats]"'
 
 
 def load_extra(path, kind, *modules):
-    """Return gsply after importing it and the `modules` that it needs to read `path`.
-
-    Raises InputError if one is not installed; names the command that installs it.
-    """
+    """Return gsply after importing the `modules` that read `path`; InputError if one is missing."""
     import rainsim.jit  # noqa: F401  (its compiled kernels belong into our cache folder)
 
     for module in (*modules, "gsply"):

@@ -5,8 +5,6 @@ it writes one. Splats are turned back, so that they fit the cameras of the captu
 Names, types and formulas are those of the extension's specification (Khronos Group, 2026).
 """
 
-from __future__ import annotations
-
 import json
 import mmap
 import os
@@ -312,10 +310,7 @@ def _read(model, primitive, place, logarithms):
 
 
 def decomposed(matrix, wrong):
-    """Return the rotation and the scales of a matrix (3, 3) that is a product of the two.
-
-    `wrong` makes the InputError for a text about a node of the file.
-    """
+    """Return the rotation and scales whose product a matrix (3, 3) is, or raise `wrong(text)`."""
     scales = np.linalg.norm(matrix, axis=0)
     if not (np.isfinite(scales) & (scales > 0) & (scales < MAX_LENGTH)).all():
         raise wrong(f"a node scales by {shown(scales.tolist())}")

@@ -4,8 +4,6 @@ Bundled, all lie in one zip file; unbundled, in one folder. Both are checked and
 decoder as a fresh bundle in memory, so that it meets no name, size or value it cannot trust.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct
@@ -58,12 +56,7 @@ def read_folder(path, max_broken):
 
 
 def read_rows(path):
-    """Return all splats of an unbundled SOG in the order they are stored in, and which are usable.
-
-    path : Path. Its meta.json.
-    Returns splats : Splats
-        good : bool array (n,)
-    """
+    """Return all splats of an unbundled SOG in their order, and which are usable (n,)."""
 
     def load(name):
         file = path if name == META else path.parent / name

@@ -6,8 +6,6 @@ degree 0 as entries of a palette. The palette is found by splitting: the set of 
 two at the mean along the direction in which it spreads most, again and again.
 """
 
-from __future__ import annotations
-
 import json
 import math
 
@@ -25,9 +23,7 @@ DIRECTIONS = 12  # principal ones of the harmonics that splits go along
 def write_sog(folder, splats, antialiased=False):
     """Write splats into a folder, in their order.
 
-    folder : Path. Made if it does not exist.
     splats : Splats. At least one, all of them usable.
-    antialiased : bool. Whether the file says that they were trained antialiased.
 
     Two sets of the same splats have the same bytes. Opacities below 1/510 come back as 0.
     """
@@ -69,10 +65,7 @@ def write_sog(folder, splats, antialiased=False):
 
 
 def _turns(rotation):
-    """Return quaternions as their three smaller parts and, as 252 to 255, the largest one's place.
-
-    The largest part is made positive.
-    """
+    """Return quaternions as three smaller parts and the largest one's place, as 252 to 255."""
     rows = np.arange(len(rotation))
     largest = np.abs(rotation).argmax(axis=1)
     signed = rotation * np.where(rotation[rows, largest] < 0, -1, 1)[:, None]

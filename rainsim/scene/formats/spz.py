@@ -5,8 +5,6 @@ a half turn about x, which positions, rotations and spherical harmonics all make
 leave the turn out (nianticlabs/spz, issue 84); an extension of the format names the axes.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from contextlib import contextmanager
@@ -165,10 +163,6 @@ def _check_gzip(path, packed, sizes):
 
     It is EXTENSION_LIMIT bytes at most, and nothing may follow the gzip stream. So a small file
     that unpacks to gigabytes is found before it is read.
-
-    path : Path. For the message.
-    packed : bytes. The whole file.
-    sizes : list of int. Unpacked bytes of each section, see `_section_sizes`.
     """
     need = PACKED.size + sum(sizes)
     stream, data, done, behind = zlib.decompressobj(31), packed, 0, b""
@@ -194,12 +188,7 @@ def _check_gzip(path, packed, sizes):
 
 
 def _check_zstd(path, packed, sizes):
-    """Return what lies before the table of contents, or raise InputError.
-
-    Each zstd stream must lie in the file and announce its section's size.
-
-    Arguments as `_check_gzip` has them.
-    """
+    """Return what lies before the table of contents, or raise InputError on a wrong section."""
     import zstandard
 
     if len(packed) < HEADER_4:

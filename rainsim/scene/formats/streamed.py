@@ -6,8 +6,6 @@ boxes. A leaf of the tree has for each level a run of splats in one chunk. All l
 the same part of the scene; level 0 is the finest.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass
@@ -75,11 +73,7 @@ class ChunkTree:
 
 
 def read_tree(path):
-    """Return the `ChunkTree` of a lod-meta.json, all of it checked.
-
-    Raises InputError if it is no such file, is damaged, or names files outside
-        its folder.
-    """
+    """Return the `ChunkTree` of a lod-meta.json, all of it checked; its files are in its folder."""
     path = require_file(Path(path), "the index of a Streamed SOG")
     if path.stat().st_size > MOST_BYTES:
         raise InputError(f"{path} is too large for the index of a Streamed SOG; check the path")

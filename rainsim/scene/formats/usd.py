@@ -5,8 +5,6 @@ the schema in OpenUSD 26.03 (UsdVol); splats without one of the attributes are r
 schema has a value for each.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.errors import InputError

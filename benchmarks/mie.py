@@ -3,8 +3,6 @@
 A check of the closed form in `rainsim.sensors.radar`, which is fitted to other drop spectra.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from benchmarks.mie import extinction_efficiency, spectrum_attenuation, water_permittivity
 from rainsim.drops import RainSpectrum
-from rainsim.sensors.mie import extinction_efficiency, spectrum_attenuation, water_permittivity
 from rainsim.sensors.radar import rain_attenuation
 
 
