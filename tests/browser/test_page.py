@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from naive import decibel
 from pages import viewing
 from rainsim.config.tables import SLIDERS
 from rainsim.io.images import read_image
@@ -28,10 +29,6 @@ VALUES = {
     "streak_strength": 4,
     "exposure_bias_ev": 0.6,
 }  # fmt: skip
-
-
-def decibel(a, b):
-    return -10 * np.log10(max(np.mean((a - b) ** 2.0) / 255**2, 1e-12))
 
 
 def differs(a, b):
@@ -95,26 +92,6 @@ def test_modes_show_something_else_and_time_goes_on(server, open_page):
     page.wait_until(lambda: len(page.pictures()) > count + 10)
     page.press("pause")
     page.settle(WIDTH)
-
-
-def test_a_painted_class_changes_the_puddles(server, open_page):
-    page = open_page(server[1])
-    page.settle(WIDTH)
-    act(page, lambda: page.choose("show", "puddles after N mm"))
-    page.open_folder("Ground")
-    page.page.mouse.click(350, 350)
-    page.wait_until(lambda: page.says("ground at"))
-    assert page.says("paving")
-    page.choose("a click", "paint a class")
-    page.choose("class", "grass")
-    page.type_into("brush [m]", 3)
-    page.wait_until(lambda: page.says("a click paints grass within 3.00 m"))
-    before, after = act(page, lambda: page.page.mouse.click(350, 350))
-    blue = (p[..., 2].mean() - p[..., 0].mean() for p in (before, after))
-    assert next(blue) > next(blue) + 1  # no puddle is left on the lawn
-    page.press("save ground and classes")
-    page.wait_until(lambda: page.says("saved in"))
-    assert list(server[2].glob("home/ground-001/class-mask.png"))
 
 
 def test_water_that_is_put_on_the_ground_shows_and_is_saved(server, open_page):

@@ -17,7 +17,6 @@ from rainsim.scene.colmap import read_model
 from rainsim.scene.folder import write_scene
 from rainsim.scene.library import load_scene
 from rainsim.scene.types import Camera
-from rainsim.sensors.lens import Lens
 from scenes import tiny_scene
 
 MAP = ["--spacing", "0.04", "--extent", "1", "--relight", "off"]
@@ -223,33 +222,6 @@ def test_a_drive_says_how_fast_it_is_and_goes_as_fast_as_it_is_told(export, tmp_
     np.testing.assert_allclose(np.linalg.norm(np.diff(place[:3], axis=0), axis=1), 0.5, atol=1e-6)
     done = export("long", *words, "--fps", "5", "--drive-speed", "9", "--views", "9")
     assert done.code == 2 and "has room for 7, and must for 9" in done.error
-
-
-def test_distorted_pictures_have_distorted_labels(export, tmp_path):
-    words = "--rain", "25", "--views", "view_0", "--layout", "replicator"
-    assert export("bent", *words, "--lens", "opencv:-0.25,0.05,0,0").code == 0
-    assert export("straight", *words).code == 0
-    bent, straight = (tmp_path / n / "rain/25mm" for n in ("bent", "straight"))
-    one, other = (np.load(f / "distance_to_image_plane_0000.npy") for f in (bent, straight))
-    assert one.shape == other.shape == (48, 64)
-    middle = np.s_[20:28, 28:36]
-    np.testing.assert_allclose(one[middle], other[middle], rtol=0.03)
-    row, column = np.mgrid[:48, :64] + 0.5
-    params = json.loads((bent / "camera_params_0000.json").read_text())
-    focal = params["cameraFocalLength"] / params["cameraAperture"][0] * 64
-    rays = Lens("opencv", (-0.25, 0.05, 0.0, 0.0)).undistort(
-        (column - 32) / focal, (row - 24) / focal
-    )
-    known = np.isfinite(one)
-    away = np.load(bent / "distance_to_camera_0000.npy")
-    np.testing.assert_allclose(
-        away[known] / one[known], np.sqrt(1 + rays[0] ** 2 + rays[1] ** 2)[known], rtol=1e-4
-    )
-    ids = read_image(bent / "semantic_segmentation_0000.png")
-    labels = json.loads((bent / "semantic_segmentation_labels_0000.json").read_text())
-    assert {str(tuple(c)) for c in ids.reshape(-1, 4).tolist()} <= set(labels)
-    params = json.loads((bent / "camera_params_0000.json").read_text())
-    assert params["lensCoefficients"] == [-0.25, 0.05, 0.0, 0.0]
 
 
 @pytest.mark.slow

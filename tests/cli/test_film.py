@@ -408,29 +408,6 @@ def test_json_is_the_only_thing_on_stdout(film, tmp_path):
     assert shown["ledger"] == record(tmp_path / "out")["ledger"]
 
 
-@pytest.mark.slow
-def test_a_flood_and_other_light_change_the_picture(film, tmp_path):
-    plain = ["--frame-range", "0:1"]
-    mean = {}
-    for name, options in {
-        "rain": [],
-        "flood": ["--water-level", "0.1"],
-        "dark": ["--brightness", "0.5"],
-        "dry": ["--rain", "0", "--past-rain", "0", "--metering", "off"],
-        "unmetered": ["--metering", "off"],
-        "sun": ["--sun", "40,50", "--cloudiness", "0.2"],
-        "capture": ["--sky", "capture"],
-    }.items():
-        done = film(name, *plain, *options)
-        assert done.code == 0, done.err
-        mean[name] = pictures(tmp_path / name)["00000.png"].astype(float)
-    assert mean["dark"].mean() < 0.8 * mean["rain"].mean()
-    for name in ("flood", "dry", "sun"):
-        assert np.abs(mean[name] - mean["rain"]).mean() > 1, name
-    ground = np.s_[36:]  # rows
-    assert mean["dry"][ground].mean() > mean["unmetered"][ground].mean() + 3  # wet ground is darker
-
-
 def test_video_has_all_frames(film, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     done = film("out", "--video", frames=2)

@@ -1,12 +1,9 @@
 """Settings: units, presets, and values that break a rule."""
 
-import json
 import math
 import re
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rainsim.config.settings import HUMAN_KEYS, MM_PER_HOUR, Config, preset_names, preset_text
 from rainsim.errors import InputError, ParameterError, RainsimError
@@ -175,32 +172,6 @@ def test_unknown_presets_and_attributes_name_the_nearest():
         Config.from_preset("none.toml")
     with pytest.raises(ParameterError, match=r"no preset '\.\./flood'"):
         Config.from_preset("../flood")
-
-
-@pytest.mark.parametrize("frames", [None, 3, "ab", [1], (("0", ()),), ((0.0, (("seed", 1),)),)])
-def test_keyframes_that_are_none_are_refused(frames):
-    with pytest.raises(ParameterError):
-        Config().replace(keyframes=frames).check()
-
-
-@settings(deadline=None)  # machines are loaded at times
-@given(
-    rate=st.floats(0, 1e-4),
-    past=st.floats(0, 0.5),
-    wind=st.tuples(st.floats(0, 30), st.floats(-10, 10)),
-    sun=st.none() | st.tuples(st.floats(-7, 7), st.floats(0, 1.5)),
-    captured_sun=st.none() | st.tuples(st.floats(-7, 7), st.floats(0, 1.5)),
-    seed=st.integers(0, 2**32 - 1),
-    frame_range=st.none() | st.tuples(st.integers(0, 11), st.integers(12, 24)),
-)
-def test_settings_survive_json_exactly(**changes):
-    config = Config().replace(**changes)
-    assert Config.from_dict(json.loads(json.dumps(config.as_dict()))) == config
-
-
-def test_frame_range_gives_the_frames():
-    assert list(Config().replace(frames=5).indices) == [0, 1, 2, 3, 4]
-    assert list(Config().replace(frames=5, frame_range=(2, 4)).indices) == [2, 3]
 
 
 def test_every_key_of_the_presets_is_known_and_explained():

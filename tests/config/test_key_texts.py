@@ -11,12 +11,6 @@ from rainsim.config.settings import Config, preset_names
 from rainsim.errors import ParameterError
 
 
-def test_every_key_is_explained_once():
-    rows = tables.table()
-    assert [row[0] for row in rows] == list(tables.HUMAN_KEYS)
-    assert len({row[-1] for row in rows}) >= len(rows) - 1 and all(row[-1] for row in rows)
-
-
 def test_units_are_those_that_are_parsed():
     factors = {
         "mm/h": 1e-3 / 3600,

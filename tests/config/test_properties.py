@@ -25,9 +25,7 @@ from rainsim.scene.cameras import (
     look_at,
     mirrored_camera,
     orbit,
-    read_cameras,
     resize_to,
-    write_transforms,
 )
 from refusals import one_clear_line
 from scenes import ground_frame
@@ -224,19 +222,6 @@ def orbits_are_circles(eyes, count, width):
         assert np.allclose(seen[:2], 0, atol=1e-6 * (1 + np.abs(seen[2])))
 
 
-def written_paths_come_back(eyes, target, fov, width, height):
-    path = [camera_at(eye, target, fov, width, height) for eye in eyes]
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "transforms.json"
-        write_transforms(file, path, [f"frames/{n:05d}.png" for n in range(len(path))])
-        back = read_cameras(file)
-    assert len(back) == len(path)
-    for a, b in zip(path, back, strict=True):
-        assert np.allclose(a.camera_from_world, b.camera_from_world, atol=1e-9)
-        assert (a.width, a.height) == (b.width, b.height)
-        assert np.allclose([a.fx, a.fy, a.cx, a.cy], [b.fx, b.fy, b.cx, b.cy])
-
-
 def sizes_keep_the_view(eye, target, fov, width, height):
     camera = camera_at(eye, target, fov)
     half = camera.width / camera.fx / 2 * max(1, height / width)  # of the longer side
@@ -272,8 +257,6 @@ PROPERTIES = {
     shutters_keep_ends_and_rotations: {"eyes": EYES, "target": POINT, "share": st.floats(0, 1),
                                        "fps": st.floats(0.1, 120)},
     orbits_are_circles: {"eyes": EYES, "count": st.integers(1, 12), "width": SIDE},
-    written_paths_come_back: {"eyes": EYES, "target": POINT, "fov": FOV, "width": SIDE,
-                              "height": SIDE},
     sizes_keep_the_view: {"eye": POINT, "target": POINT, "fov": FOV, "width": SIDE,
                           "height": SIDE},
 }  # fmt: skip

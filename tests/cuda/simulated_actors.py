@@ -11,9 +11,6 @@ from rainsim import simulation
 from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import Config
 from rainsim.cuda import simulated
-from rainsim.cuda.driver import Staging
-from rainsim.cuda.jit import cuda
-from rainsim.cuda.moving_map import MovingMap, joined
 from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.cuda.render import renderer as twin
 from rainsim.cuda.splatting.prepared import DeviceSplats
@@ -67,35 +64,6 @@ def test_the_map_follows_what_moves_over_it(terrain):
     assert (shown[0] != shown[1]).any() and (shown[1] != shown[2]).any()
     heights.send(moving.still)
     np.testing.assert_array_equal(heights.fields.top.copy_to_host(), terrain.top)
-
-
-def test_windows_that_overlap_are_sent_once():
-    def box(top, bottom, left, right):
-        return slice(top, bottom), slice(left, right)
-
-    apart = [box(0, 3, 0, 3), box(0, 3, 8, 9), box(3, 5, 2, 4)]
-    assert joined(apart) == apart
-    assert joined(apart, [box(2, 4, 2, 9)]) == [box(0, 5, 0, 9)]
-
-
-def test_a_map_is_sent_in_the_windows_that_change():
-    """What stands beside them on the device stays; another still map is sent whole."""
-    still, other = np.zeros((6, 8, 2), np.float32), np.full((6, 8, 2), 3, np.float32)
-    there = cuda.to_device(still)
-    moving = MovingMap(there, Staging(), still)
-    first, then = (slice(1, 3), slice(1, 4)), (slice(2, 5), slice(5, 7))
-    values = still.copy()
-    values[first] = 1
-    moving.send(values, [first], still)
-    np.testing.assert_array_equal(there.copy_to_host(), values)
-    values = still.copy()
-    values[then] = 2
-    there[0, 0] = 7
-    moving.send(values, [then], still)
-    values[0, 0] = 7
-    np.testing.assert_array_equal(there.copy_to_host(), values)
-    moving.send(other, [], other)
-    np.testing.assert_array_equal(there.copy_to_host(), other)
 
 
 def test_frames_and_labels_are_those_of_the_cpu(scene, terrain, monkeypatch):

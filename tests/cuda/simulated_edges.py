@@ -10,7 +10,6 @@ from rainsim.cuda.grid import GpuWaterSolver
 from rainsim.errors import DivergedError
 from rainsim.grid import WaterSolver
 from rainsim.water.conditions import Discharge, Rating, Stage
-from rainsim.water.gauges import Gauges
 from rainsim.water.series import Series
 
 assert simulated()
@@ -109,27 +108,6 @@ def test_a_saved_state_goes_on_to_the_same_bytes_and_on_the_cpu(name, tmp_path):
     np.testing.assert_allclose(cpu.depth, whole.depth, atol=1e-7)
     assert cpu.ledger.rain == pytest.approx(whole.ledger.rain, rel=1e-6)
     assert np.abs(whole.depth - begun().depth).max() > 1e-3
-
-
-def test_a_run_with_gauges_stops_at_a_reading_and_goes_on_to_the_same_readings(tmp_path):
-    def begun():
-        solver = GpuWaterSolver(made("all"))
-        return solver, Gauges(solver, {"mid": (3, 4)})
-
-    whole, read = begun()
-    read.run(0.2, 0.05, RAIN)
-    assert [row[0] for row in read.rows] == pytest.approx([0.05, 0.1, 0.15, 0.2])
-    assert len(np.unique(np.array(read.rows)[:, 1])) == 4
-    solver, gauges = begun()
-    gauges.run(0.2, 0.05, RAIN, lambda now: now < 0.09)
-    assert solver.time == pytest.approx(0.1) and len(gauges.rows) == 2
-    solver.save(tmp_path / "s.npz")
-    again, _ = begun()
-    again.load(tmp_path / "s.npz")
-    gauges = Gauges(again, {"mid": (3, 4)})
-    gauges.run(0.2, 0.05, RAIN, begin=0.0)
-    assert gauges.rows == read.rows[1:]  # it had no reading of the time of its state
-    np.testing.assert_array_equal(again.depth, whole.depth)
 
 
 def test_rain_on_dry_ground_flows_as_on_the_cpu_whatever_the_calls():

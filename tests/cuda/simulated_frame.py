@@ -1,7 +1,6 @@
 """Whole rainy frames of the twin in the simulator, against the CPU's."""
 
 import dataclasses
-import functools
 from collections import defaultdict
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 
 from made_frames import passes_without
 from naive import decibel
-from rainsim import simulation
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
 from rainsim.cuda import simulation as cuda_simulation
@@ -18,7 +16,7 @@ from rainsim.cuda.shading import wet_ground_mirror
 from rainsim.daylight import kept_light
 from rainsim.daylight.relight import Relight
 from rainsim.errors import ParameterError
-from rainsim.pipeline import FrameSequence, extract_terrain, simulate
+from rainsim.pipeline import extract_terrain, simulate
 from rainsim.reflection.water_pass import choice_of
 from rainsim.render import aov
 from rainsim.render import renderer as rendering
@@ -35,13 +33,6 @@ SIZE = (32, 24)
 def quick(monkeypatch):
     """The day's sky as surroundings: six pictures are much for the simulator."""
     monkeypatch.setattr(WetScene, "_surroundings", lambda self, position: self.sky.day)
-
-
-@pytest.fixture
-def small_tile(monkeypatch):
-    """Rings on few cells."""
-    small = functools.partial(simulation.RippleTile, cells=16, size=0.5)
-    monkeypatch.setattr(simulation, "RippleTile", small)
 
 
 def config(**changes):
@@ -108,30 +99,6 @@ def test_wet_tops_are_those_of_the_cpu():
     assert decibel(without, picture) < 40
     own = cuda_simulation.Simulation(terrain, settings)
     np.testing.assert_allclose(own.advance().top_water, state.top_water, rtol=1e-6)
-
-
-def test_frames_show_other_times_of_the_rain_than_their_own(small_tile):
-    """States that are shown twice, and gaps of more steps than the device keeps states."""
-    scene = tiny_scene()
-    cameras = [camera.resized(*SIZE) for camera in scene.cameras[:2] * 3]
-    settings = config(
-        level=0.06, rate=mm_per_hour(30.0), frames=5, extent=0.5, scheme="lean", drips=False
-    )
-    settings = dataclasses.replace(settings, moments=(0, 0, 1, 4, 4))
-    terrain = extract_terrain(scene, settings)
-    shown = {}
-    for backend in ("cpu", "cuda"):
-        sequence = FrameSequence(scene, terrain, cameras[:5], settings, backend)
-        shown[backend] = [(picture.copy(), report) for picture, report in sequence.frames(range(5))]
-    for (found, report), (wanted, theirs) in zip(shown["cuda"], shown["cpu"], strict=True):
-        assert (report.index, report.time) == (theirs.index, theirs.time)
-        assert report.ledger["rain"] == pytest.approx(theirs.ledger["rain"], rel=1e-5)
-        assert decibel(found, wanted) > 40
-    assert sequence.next == 3  # the first frame of the state at hand
-    ((picture, _),) = sequence.frames([4])
-    np.testing.assert_array_equal(picture, shown["cuda"][4][0])
-    ((picture, _),) = sequence.frames([2])  # from the beginning again
-    np.testing.assert_array_equal(picture, shown["cuda"][2][0])
 
 
 def test_film_gets_a_mirrored_picture_where_it_is_worth_one():

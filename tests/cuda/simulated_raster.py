@@ -1,17 +1,18 @@
 """The splatting twin in numba's CUDA simulator; `tests/cuda/test_cuda.py` runs this file."""
 
+import functools
 import inspect
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import naive
 from rainsim import raster
 from rainsim.actors.actor import Actor
 from rainsim.actors.motion import Track
 from rainsim.cuda import raster as twin
 from rainsim.cuda import simulated
-from rainsim.cuda.jit import cuda
 from rainsim.cuda.splatting import prepared as on_device
 from rainsim.cuda.splatting.prepared import ROW, DeviceSplats
 from rainsim.render.actor_splats import ActorSplats
@@ -20,6 +21,7 @@ from rainsim.splatting.detail import Detail
 from rainsim.splatting.merged import Merger
 
 assert simulated()
+decibel = functools.partial(naive.decibel, peak=1.0)
 # Plain numpy numbers warn where a GPU's do not; kernels divide by zero and choose afterwards.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
@@ -40,10 +42,6 @@ def cloud(n=60, bands=16, seed=3):
         rng.uniform(0, 1, n).astype(np.float32),
         rng.normal(0, 0.25, (n, bands, 3)).astype(np.float32),
     )  # fmt: skip
-
-
-def decibel(a, b):
-    return -10 * np.log10(max(np.mean((np.asarray(a, float) - b) ** 2), 1e-30))
 
 
 def assert_alike(layers, wanted, least=80):
@@ -239,22 +237,3 @@ def test_a_lower_degree_than_the_scene_has():
     layers = twin.rasterize(prepared, camera(), 0.2, degree=1)
     assert_alike(layers, raster.rasterize(prepared, camera(), 0.2, degree=1))
     assert decibel(layers.color, twin.rasterize(prepared, camera(), 0.2).color) < 40
-
-
-def test_levels_of_depth_increase_and_are_dense_where_the_scene_lies():
-    levels = 900_000
-    now = np.zeros(twin.project.CAMERA, np.float32)
-    now[twin.project.SCALE : twin.project.SCALE + 5] = twin.project.depth_scale(0.01, 50, levels)
-    depth = np.concatenate([np.geomspace(0.01, 1e6, 500), np.linspace(2, 8, 500)])
-    depth = np.sort(depth).astype(np.float32)
-    found = np.zeros(1000, np.int32)
-
-    @cuda.jit
-    def look(depth, now, found):
-        i = cuda.grid(1)
-        found[i] = twin.project.depth_level(depth[i], now)
-
-    look[10, 100](depth, now, found)
-    assert (np.diff(found) >= 0).all() and found[0] >= 0 and found[-1] <= levels
-    middle = (depth > 2) & (depth < 8)
-    assert np.ptp(found[middle]) > 0.15 * levels

@@ -1,11 +1,13 @@
 """The twins of shading, water surface and water light in the simulator, against the CPU's."""
 
+import functools
 import inspect
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import naive
 from rainsim import ssr
 from rainsim.cuda import simulated
 from rainsim.cuda.jit import cuda
@@ -47,14 +49,11 @@ from rainsim.shading.wetting import SkyMaps
 from rainsim.water.ripples import block_reach, ring_reach
 
 assert simulated()
+decibel = functools.partial(naive.decibel, peak=1.0)
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 HEIGHT, WIDTH, CELLS = 20, 30, 28
 SPACING, ORIGIN = np.float32(0.1), np.array([-1.4, -1.4], np.float32)
 F4 = np.float32
-
-
-def decibel(a, b, peak=1.0):
-    return -10 * np.log10(max(np.mean((np.asarray(a, float) - b) ** 2), 1e-30) / peak**2)
 
 
 @pytest.fixture(scope="module")

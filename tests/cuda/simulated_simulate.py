@@ -10,7 +10,10 @@ from rainsim import simulation
 from rainsim.config.settings import Config, mm_per_hour
 from rainsim.cuda import simulated
 from rainsim.cuda import simulation as twin
+from rainsim.cuda.water.ripples import Ripples
+from rainsim.errors import ParameterError
 from rainsim.pipeline import extract_terrain
+from rainsim.water.ripples import RippleTile
 from scenes import rolling_scene, tiny_scene
 
 assert simulated()
@@ -92,3 +95,8 @@ def test_what_moves_over_the_water_is_followed():
             assert ledger[name] == pytest.approx(volume, rel=1e-4, abs=1e-9), name
         assert abs(ledger["residual"]) < 1e-6
     assert np.abs(without.depth.copy_to_host() - depth).max() > 1e-6
+
+
+def test_rings_on_cells_that_cannot_be_transformed_are_refused():
+    with pytest.raises(ParameterError, match="power of two"):
+        Ripples(RippleTile(cells=24), 1 / 30)

@@ -11,7 +11,7 @@ from rainsim.errors import BackendError
 
 QUICK = ("raster", "shading", "water", "edges", "streaks", "drops", "drips")
 """What the default suite runs."""
-LONG = ("film", "splash", "ripples", "simulate", "frame", "actors", "mirror", "bench", "chunks")
+LONG = ("simulate", "frame", "actors", "mirror", "bench", "chunks")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import time
 
 import numpy as np
 import pytest
@@ -98,29 +97,6 @@ def test_a_boxs_mirror_image_lies_where_the_traced_one_does(on_gpu, scene, terra
     assert decibel(light["without"][image], light["traced"][image], 1) < 15
 
 
-def test_a_film_of_actors_is_its_frames_and_sends_the_static_set_once(
-    on_gpu, scene, terrain, states, camera, monkeypatch
-):
-    from rainsim.cuda.splatting.prepared import DeviceSplats
-
-    shots = [(camera, state, None) for state in states[:6]]
-    alone = on_gpu(scene, terrain, CONFIG, camera)
-    wanted = [alone.draw(*shot)[0].copy() for shot in shots]
-    renderer, sent = on_gpu(scene, terrain, CONFIG, camera), []
-    renderer.draw(*shots[0])  # which sends the static sets
-    send = DeviceSplats._send_harmonics
-    monkeypatch.setattr(
-        DeviceSplats, "_send_harmonics",
-        lambda self, *args: (sent.append(args), send(self, *args)),
-    )  # fmt: skip
-    found = [picture.copy() for picture, _ in renderer.film(shots)]
-    np.testing.assert_array_equal(found, wanted)
-    assert (found[2] != found[3]).any()
-    assert not sent  # the actors were, once, and are posed on the device
-    (latest,) = on_gpu(scene, terrain, CONFIG, camera).film(shots[5:])
-    np.testing.assert_array_equal(latest[0], wanted[5])  # alone as in sequence
-
-
 def test_actors_that_are_away_change_no_byte(on_gpu, scene, terrain, states, camera):
     pictures = []
     for one in (dataclasses.replace(scene, actors=()), moving_scene(visible=(False, False)), scene):
@@ -151,14 +127,14 @@ def test_a_parked_boxs_water_stays_on_the_device(on_gpu, terrain, camera):
     assert (pictures[2] != pictures[3]).any()
 
 
-def test_the_streets_traffic_and_its_spray_are_those_of_the_cpu(on_gpu, capsys):
+def test_the_streets_traffic_and_its_spray_are_those_of_the_cpu(on_gpu):
     """A downpour on the flooded street, a moving camera: cars, labels, drops and clouds."""
     scene = load_scene("traffic")
     settings = STREET.replace(level=0.08)
     cameras = [resize_to(camera, 320) for camera in scene.cameras]
     terrain = with_footprints(pipeline.extract_terrain(scene, settings), scene)
     names = (*LABELS, "rain_alpha", "splash_alpha")
-    wanted, times = [], {}
+    wanted = []
     states = list(itertools.islice(pipeline.simulate(terrain, settings), settings.frames))
     for name, make in (("cpu", OnCpu), ("gpu", on_gpu)):
         renderer = make(scene, terrain, settings, cameras[0])
@@ -175,21 +151,14 @@ def test_the_streets_traffic_and_its_spray_are_those_of_the_cpu(on_gpu, capsys):
             assert (theirs["actor_id"] > 0).sum() > 300
             for layer in ("rain_alpha", "splash_alpha"):
                 assert decibel(mine[layer], theirs[layer], 1) > 40, (index, layer)
-        begin = time.perf_counter()
-        for _ in renderer.film([(camera, state, None) for camera, state in path]):
-            pass
-        times[name] = (time.perf_counter() - begin) / len(path)
     # The spray is in these pictures.
     plain = OnCpu(scene, terrain, settings.replace(spray="off"), cameras[0])
     _, report = plain.draw(*path[-1], None, ("rain_alpha",))
     without = report.aovs["rain_alpha"]
     assert decibel(without, wanted[-1][1].aovs["rain_alpha"], 1) < 35
-    with capsys.disabled():
-        print(f"\ntraffic, 320 px, ms a frame without the water's step: "
-              f"{1e3 * times['cpu']:.1f} cpu, {1e3 * times['gpu']:.1f} gpu")  # fmt: skip
 
 
-def test_moving_things_leave_the_water_on_the_device(on_gpu, capsys):
+def test_moving_things_leave_the_water_on_the_device():
     """The flooded street from the device's own simulation: water and frames."""
     from rainsim.cuda.simulation import simulate
 
@@ -215,37 +184,3 @@ def test_moving_things_leave_the_water_on_the_device(on_gpu, capsys):
     again = pipeline.FrameSequence(scene, terrain, cameras, settings, "cuda")
     ((alone, _),) = again.frames([settings.frames - 1])
     np.testing.assert_array_equal(alone, frames["cuda"][-1])
-    begin, settings = time.perf_counter(), settings.replace(frames=30)
-    sequence = pipeline.FrameSequence(scene, terrain, cameras, settings, "cuda")
-    times = [time.perf_counter() - begin for _ in sequence.frames(range(30))]
-    alone = own_times(simulate(terrain, settings), 20)
-    with capsys.disabled():
-        print(
-            f"\ntraffic, 320 px, ms a frame with its water: "
-            f"{1e3 * np.median(np.diff(times)[5:]):.1f}; the water alone {alone:.1f}"
-        )
-
-
-def own_times(states, count):
-    """Return the median milliseconds of a state of the device's simulation."""
-    taken = []
-    for _ in range(count):
-        begin = time.perf_counter()
-        _ = next(states).ledger
-        taken.append(time.perf_counter() - begin)
-    return 1e3 * float(np.median(taken[5:]))
-
-
-def test_the_sequence_of_a_run_takes_the_backend(scene):
-    """As `rainsim run --backend cuda` calls it; frames by themselves and in one go."""
-    camera = scene.cameras[0].resized(320, 240)
-    ground = pipeline.extract_terrain(scene, CONFIG)
-
-    def frames(indices, backend="cuda"):
-        sequence = pipeline.FrameSequence(scene, ground, [camera], CONFIG, backend)
-        return {report.index: picture.copy() for picture, report in sequence.frames(indices)}
-
-    together, wanted = frames([0, 2, 3]), frames([3], "cpu")
-    np.testing.assert_array_equal(frames([3])[3], together[3])
-    assert decibel(together[3], wanted[3]) > 45
-    assert (together[2] != together[3]).any()

@@ -1,20 +1,19 @@
 """The splatting twin on a real GPU: `pytest -m gpu`."""
 
+import functools
 import json
 import runpy
 
 import numpy as np
 import pytest
 
+import naive
 from rainsim import raster
 from rainsim.scene.types import Camera, Splats
 
 pytestmark = pytest.mark.gpu
+decibel = functools.partial(naive.decibel, peak=1.0)
 LAYERS = ("color", "alpha", "depth", "plane_depth", "normal")
-
-
-def decibel(a, b):
-    return -10 * np.log10(max(np.mean((np.asarray(a, float) - b) ** 2), 1e-30))
 
 
 @pytest.fixture(scope="module")

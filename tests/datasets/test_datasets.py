@@ -135,15 +135,6 @@ def test_flow_as_kitti_has_it(tmp_path):
     assert not back[0, 3:].any()
 
 
-def test_colour_of_16_bits_as_another_program_reads_it(tmp_path, rng):
-    imagecodecs = pytest.importorskip("imagecodecs")
-    values = rng.integers(0, 65536, (23, 37, 3)).astype(np.uint16)
-    images.write_png48(tmp_path / "a.png", values)
-    found = imagecodecs.png_decode((tmp_path / "a.png").read_bytes())
-    assert found.dtype == np.uint16
-    np.testing.assert_array_equal(found, values)
-
-
 def test_what_is_no_48_bit_picture_is_refused(tmp_path):
     with pytest.raises(ParameterError, match=r"uint8 of shape \(2, 2, 3\)"):
         images.write_png48(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))

@@ -18,7 +18,7 @@ from rainsim.errors import InputError, ParameterError, RainsimError
 from rainsim.farm.shared_run import SharedRun
 from rainsim.io.journal import SHARED_FOLDER
 from rainsim.output_folder import JOURNAL, FrameFolder, Record, claimed, read_record
-from run_folders import assert_same_run, written
+from run_folders import assert_same_run
 from scenes import tiny_scene
 
 FRAMES = 12
@@ -65,19 +65,6 @@ def test_ranges_one_after_another_give_the_whole(tmp_path, whole):
     same(tmp_path / "a", whole)
     assert draw(tmp_path / "a", 3, 5)[0] == []  # there is nothing left to draw
     same(tmp_path / "a", whole)
-
-
-def test_another_run_is_refused_and_left_as_it_is(tmp_path):
-    draw(tmp_path / "a", 0, 2)
-    before = written(tmp_path / "a")
-    with pytest.raises(ParameterError, match=r"was another.*give another --out"):
-        draw(tmp_path / "a", 2, 4, seed=1)
-    assert written(tmp_path / "a") == before
-    (tmp_path / "b").mkdir()
-    (tmp_path / "b" / "mine.txt").write_text("mine")
-    with pytest.raises(ParameterError, match=r"mine\.txt and no record"):
-        draw(tmp_path / "b")
-    assert [path.name for path in (tmp_path / "b").iterdir()] == ["mine.txt"]
 
 
 def test_a_run_that_shares_with_none_and_a_shared_one_refuse_each_other(tmp_path):

@@ -273,18 +273,6 @@ def test_a_kept_ground_frame_is_the_estimated_one(folder, tmp_path):
     assert len(list(folder.glob("frame-*"))) == before + 1
 
 
-def test_a_kept_terrain_is_the_extracted_one(folder, monkeypatch):
-    scene = tiny_scene()
-    mask = np.full((50, 50), -1)
-    mask[20:30, 20:30] = 4  # painted water
-    fresh = [pipeline.extract_terrain(scene, CONFIG, m) for m in (None, mask)]
-    assert fresh[1].water.any() and not fresh[0].water.any()
-    assert len(list(folder.glob("terrain-*"))) == 2
-    monkeypatch.setattr("rainsim.terrain.extract.extract_terrain", lambda *_: pytest.fail("again"))
-    for m, terrain in zip((None, mask), fresh, strict=True):
-        same(pipeline.extract_terrain(tiny_scene(), CONFIG, m), terrain)
-
-
 def test_each_input_of_a_terrain_changes_its_name():
     scene, config, mask = tiny_scene(), CONFIG.terrain, np.full((50, 50), -1)
     names = [kept_terrain.entry_name(scene, config), kept_terrain.entry_name(scene, config, mask)]

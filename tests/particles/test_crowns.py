@@ -34,10 +34,6 @@ def crown(diameter, age, film=1e-3, exposure=1e-5, pixel=1e-4):
     return Lines.of(rows[: count[0]])
 
 
-def width(lines):
-    return np.hypot(lines.position[:, 0], lines.position[:, 1]).max()
-
-
 @pytest.mark.parametrize("diameter", [1.5e-3, 2.5e-3, 4e-3])
 def test_the_foot_grows_with_the_square_root_of_time(diameter):
     feet = []
@@ -56,11 +52,6 @@ def test_a_crown_rises_sinks_and_is_gone():
     assert heights[0] < heights[1] > heights[2]
     assert 2e-3 < heights[1] < 15e-3
     assert len(crown(3e-3, LONGEST_CROWN)) == 0 and len(crown(3e-3, -0.01)) == 0
-
-
-def test_bigger_drops_make_bigger_crowns():
-    sizes = [width(crown(d, 4e-3)) for d in (1.5e-3, 2.5e-3, 4e-3)]
-    assert sizes == sorted(sizes) and sizes[2] < 25e-3
 
 
 def test_detail_follows_the_pixel_and_the_area_hardly_does():

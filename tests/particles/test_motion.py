@@ -47,24 +47,6 @@ def project(camera, point):
     return camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy
 
 
-def test_the_pose_at_the_shutters_close_lies_on_the_way_to_the_next_frame():
-    path = [looking((0.1 * k, 0.02 * k, 0), yaw=0.05 * k) for k in range(4)]
-    for k in range(4):
-        end = PathMotion(path, 24.0).end(k, 1 / 48)  # half a frame
-        wanted = looking((0.1 * (k + 0.5), 0.02 * (k + 0.5), 0), yaw=0.05 * (k + 0.5))
-        np.testing.assert_allclose(end.camera_from_world, wanted.camera_from_world, atol=1e-12)
-    assert PathMotion(path[:1], 24.0).end(0, 1 / 48) is None
-    assert PathMotion([path[0], path[0]], 24.0).end(0, 1 / 48) is None
-
-
-def test_a_cut_is_not_a_motion():
-    far = [looking(), looking((5.0, 0, 0))]
-    assert PathMotion(far, 24.0).end(0, 1 / 60) is None
-    assert PathMotion(far, 4.0).end(0, 1 / 60) is not None
-    around = [looking(), looking(yaw=2.0)]
-    assert PathMotion(around, 24.0).end(0, 1 / 60) is None
-
-
 def test_all_frames_of_a_path_move_as_each_of_them():
     """One stands still and one ends in a cut."""
     places = (0.0, 0.1, 0.1, 0.3, 50.0, 50.1)

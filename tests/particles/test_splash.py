@@ -75,17 +75,6 @@ def test_droplets_fly_as_high_and_long_as_was_measured():
     assert longest_flight(terminal_speed(5e-3)) < LONGEST_LIFE
 
 
-def test_an_exposure_sees_the_way_of_a_droplet():
-    impact = fallen([3e-3])
-    open_, shut, streak = (
-        splash_droplets(impact, 1e-3, now, exposure)
-        for now, exposure in ((0.03, 0.0), (0.04, 0.0), (0.03, 0.01))
-    )
-    np.testing.assert_allclose(streak.position, open_.position, atol=1e-12)
-    np.testing.assert_allclose(streak.velocity * 0.01, shut.position - open_.position, atol=1e-12)
-    np.testing.assert_allclose(streak.diameter, open_.diameter)
-
-
 def test_bigger_splashes_on_a_film_of_a_third_of_the_diameter():
     impact = fallen(np.full(50, 3e-3))
     thin, peak, pool = (splash_droplets(impact, h, 0.01).diameter.mean() for h in (2e-4, 1e-3, 0.1))

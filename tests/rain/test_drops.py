@@ -149,16 +149,6 @@ def test_a_box_is_the_union_of_its_parts():
     assert len(np.unique(whole.id)) == len(whole) > 1000
 
 
-def test_drops_fall_straight_at_their_speed():
-    field = RainField(RainSpectrum(50), (1.5, -0.5), seed=3)
-    before = field.drops_in_box(2.0, (0, 0, 0), (1, 1, 1))
-    after = field.drops_in_box(2.1, (-2, -2, -2), (2, 2, 1))
-    assert np.isin(before.id, after.id).all()
-    moved = after.position[np.searchsorted(after.id, before.id)] - before.position
-    np.testing.assert_allclose(moved, before.velocity * 0.1, atol=1e-12)
-    assert (moved[:, 2] < -0.2).all()
-
-
 def test_a_lighter_rain_is_nearly_all_in_a_heavier_one():
     light, heavy = (
         RainField(RainSpectrum(rate), seed=4).drops_in_box(9.0, (0, 0, 0), (3, 3, 3))
@@ -364,13 +354,6 @@ def test_plain_and_compiled_random_numbers_agree():
     at = np.flatnonzero(box.id == word)
     assert len(at) == 1
     np.testing.assert_allclose(box.position[at[0]], place, rtol=1e-12)
-
-
-def test_uniform_numbers_are_uniform():
-    words = subkey(np.array([12345], np.uint64), np.arange(20_000, dtype=np.uint64))
-    for values in (uniform(words), *uniform_triple(words)):
-        assert stats.kstest(values, "uniform").pvalue > 0.01
-    assert len(np.unique(words)) == len(words)
 
 
 def test_hits_within_a_rectangle_are_those_of_all_that_lie_in_it():

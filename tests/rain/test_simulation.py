@@ -10,8 +10,6 @@ from made_rain import NX, NY, SPACING, centres, config, ground, states
 from rainsim import simulation
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
-from rainsim.errors import InputError
-from rainsim.io.states import read_state, write_state
 from rainsim.rain.exposure import rain_exposure
 
 
@@ -131,13 +129,6 @@ def test_a_roof_keeps_the_ground_dry_and_is_booked():
     assert state.depth[middle].max() < 1e-9 < state.depth[far].max()
 
 
-def test_solid_block_shelters_its_own_ground():
-    x, _ = centres()
-    block = ground(top=np.where(x > 0.4, 0.5, 0.0))
-    exposure = rain_exposure(block, (0.0, 0.0))
-    assert exposure[:, -4:].max() < 0.01 and exposure[:, :10].min() > 0.99
-
-
 def test_a_frame_is_the_same_alone_and_in_sequence_and_seeds_differ():
     one = states(ground(bowl()), config(), 3)
     two = states(ground(bowl()), config(), 3)
@@ -151,20 +142,6 @@ def test_rings_run_on_the_puddles_own_depth():
     assert simulation.puddle_depth(np.zeros((3, 3))) == simulation.RIPPLE_DEPTHS[0]
     assert simulation.puddle_depth(np.array([0, 1e-4, 0.006, 0.008, 0.01])) == pytest.approx(0.008)
     assert simulation.puddle_depth(np.full(4, 5.0)) == simulation.RIPPLE_DEPTHS[1]
-
-
-def test_state_files_round_trip_and_bad_ones_are_told(tmp_path):
-    state = states(ground(bowl()), config(), 2)[-1]
-    write_state(tmp_path / "s.npz", state)
-    again = read_state(tmp_path / "s.npz")
-    assert again.time == state.time and again.ledger == state.ledger
-    for name in ("depth", "velocity", "slopes", "drips"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
-    (tmp_path / "bad.npz").write_bytes(b"nonsense")
-    with pytest.raises(InputError, match="no water state"):
-        read_state(tmp_path / "bad.npz")
-    with pytest.raises(InputError, match="does not exist"):
-        read_state(tmp_path / "none.npz")
 
 
 def first_field(config):

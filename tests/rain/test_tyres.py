@@ -81,26 +81,6 @@ def test_the_four_ways_are_those_that_were_published():
     assert density @ rates == pytest.approx(0.0090, abs=3e-4)
 
 
-def test_rates_grow_with_depth_width_and_speed_and_sum_to_what_is_cleared(rng):
-    depth, width, speed = rng.uniform((1e-6, 0.1, 1), (0.05, 0.4, 40), (200, 3)).T
-    rates = throws.thrown_rates(depth, width, speed)
-    np.testing.assert_allclose(rates.sum(axis=-1), depth * width * speed, rtol=1e-12)
-    assert (rates >= 0).all()
-    np.testing.assert_allclose(throws.thrown_rates(depth, width, 2 * speed), 2 * rates, rtol=1e-12)
-    assert throws.thrown_rates(0.0, 0.2, 10.0).sum() == 0
-    share = throws.mist_share(30.0, 2.6)
-    assert (share > 0).all() and (share <= 0.5).all()
-    assert (
-        throws.mist_share(5.0, 2.6)[[BOW, SIDE]] == 0
-    ).all()  # waves make no mist at walking pace
-
-
-def test_drops_are_smaller_the_faster_the_tyre():
-    assert throws.mean_diameter(6.0) == pytest.approx(0.8e-3, rel=0.01)
-    np.testing.assert_allclose(throws.mean_diameter(12.0) / throws.mean_diameter(24.0), 2.0)
-    assert throws.mean_diameter(0.0) <= 1.5e-3
-
-
 @pytest.mark.parametrize("speed", [3.0, 10.0, 25.0])
 @pytest.mark.parametrize("depth", [0.4e-3, 2e-3, 2e-2])
 def test_the_mass_thrown_a_second_is_the_published_one(speed, depth):

@@ -168,14 +168,3 @@ def test_wind_shares_grow_with_size_and_fall_with_roughness_and_may_be_left_out(
     smooth, rough = wind_shares(speed, 0.005), wind_shares(speed, 0.5)
     assert (np.diff(smooth) > 0).all() and (rough < smooth).all() and rough.min() > 0.3
     assert (wind_shares(speed, 0.0) == 1).all()
-
-
-def test_no_drop_jumps_in_a_gusty_wind_that_grows_with_height():
-    weather = Weather(Config().replace(rate=mm_per_hour(50), wind=(4.0, 0.3), gusts=0.4))
-    step, low, high = 0.05, np.array([-1.0, -1, 0]), np.array([1.0, 1, 1.5])
-    now, then = weather.field(1.0, 1.0 + step), weather.field(1.0 + step, 1.0 + 2 * step)
-    before = now.drops_in_box(1.0, low, high)
-    after = then.drops_in_box(1.0 + step, low - 1, high + 1)
-    moved = after.position[np.searchsorted(after.id, before.id)] - before.position
-    np.testing.assert_allclose(moved, before.velocity * step, atol=1e-9)
-    assert np.ptp(before.velocity[:, 0]) > 0.1 and len(before) > 1000

@@ -70,15 +70,6 @@ def test_flow_of_the_sky_is_the_turn_and_what_is_behind_has_none():
     assert (mask[square] == NO_FLOW).all() and not flow[square].any()
 
 
-def test_range_is_the_way_of_the_ray():
-    depth = np.full((64, 96), 2.0, np.float32)
-    found = labels.range_of(depth, CAMERA)
-    assert found.dtype == np.float32
-    expected = 2 * np.sqrt(1 + (90.5 - 47) ** 2 / 80**2 + (3.5 - 33) ** 2 / 82**2)
-    assert found[3, 90] == pytest.approx(expected, rel=1e-6)
-    assert np.isinf(labels.range_of(np.full((64, 96), np.inf), CAMERA)).all()
-
-
 def test_boxes_hold_their_instances():
     ids = np.zeros((8, 9), np.uint16)
     ids[1:3, 2:6], ids[5, 0], ids[7, 8] = 40000, 7, 7

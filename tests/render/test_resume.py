@@ -1,11 +1,6 @@
 """Unfinished runs are gone on with: the same bytes as in one go, whatever ended them."""
 
 import json
-import os
-import random
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -23,7 +18,6 @@ from run_folders import assert_same_run, written
 from scenes import tiny_scene
 
 FRAMES = 12
-KILLS = 5
 
 
 def picture(index):
@@ -153,33 +147,6 @@ def test_states_of_kept_frames_are_simulated_and_not_drawn():
     skip |= {0, 1, 4, 7}  # known when the first frame is asked for
     assert [state.index for state in frames] == [2, 3, 5, 6] and made == list(range(7))
     assert list(frames_of(states(), config, skip=range(8))) == []
-
-
-CODE = "import sys; import test_resume as t; t.draw(sys.argv[1], resume=True, pause=0.01)"
-
-
-def killed_at_random(folder, count, seed):
-    """Start a run and kill it, again and again; return how many runs were killed at work."""
-    rng, killed = random.Random(seed), 0
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    }
-    for _ in range(count):
-        process = subprocess.Popen([sys.executable, "-c", CODE, folder], env=environment)
-        ready = Path(folder) / output_folder.PROVENANCE
-        while not ready.exists() and process.poll() is None:
-            time.sleep(0.005)
-        time.sleep(rng.uniform(0, 0.08))
-        process.send_signal(rng.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGKILL]))
-        killed += process.wait() != 0
-    return killed
-
-
-def test_runs_killed_at_random_moments_lose_nothing(tmp_path, whole):
-    assert killed_at_random(tmp_path / "a", KILLS, seed=1) > 0
-    draw(tmp_path / "a", resume=True)
-    same(tmp_path / "a", whole)
-    assert not [p for p in (tmp_path / "a").rglob(".*") if p.is_file()]
 
 
 def test_a_video_is_the_same(tmp_path):

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from test_gltf import covariances
 
 import rainsim.scene.pages
 from made_captures import random_splats
 from made_formats import sog, tame_splats, write_folder, write_splats
+from naive import decibel as psnr
 from rainsim import pipeline
 from rainsim.config.settings import Config
 from rainsim.datasets.user_labels import read_labels
@@ -20,7 +21,7 @@ from rainsim.io.images import write_png
 from rainsim.lod import cut as cutting
 from rainsim.lod.cut import cut
 from rainsim.lod.held_parts import finest_near, scene_over
-from rainsim.lod.levels import chosen_levels, levels_of, pixels_per_unit
+from rainsim.lod.levels import chosen_levels, pixels_per_unit
 from rainsim.lod.merge import merged_splats, reach_box
 from rainsim.lod.numbers import FinestNumbers
 from rainsim.lod.paged import Page, PagedRasterizer, rasterizer_of_scene
@@ -115,11 +116,6 @@ def coarse_overview():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rainsim.scene.pages, "OVERVIEW", 12_000)
         yield
-
-
-def psnr(a, b, peak=255.0):
-    """Decibels between two pictures."""
-    return 10 * np.log10(peak**2 / np.mean((a.astype(float) - b.astype(float)) ** 2))
 
 
 def index(folder):
@@ -290,12 +286,6 @@ def test_chunks_that_do_not_fit_the_index_are_refused(small, tmp_path):
 # --- levels ---------------------------------------------------------------------------------------
 
 
-def covariances(splats):
-    """Return the covariances (n, 3, 3) of splats."""
-    turn = Rotation.from_quat(splats.rotation[:, [1, 2, 3, 0]]).as_matrix() * splats.scale[:, None]
-    return np.einsum("nij,nkj->nik", turn, turn)
-
-
 def test_merging_keeps_moments_and_what_is_wide(rng):
     """Over each cell: whichever way its splats face, their sums are those of the merged ones."""
     splats = random_splats(4000, 4, 1)
@@ -417,17 +407,6 @@ def test_near_is_fine_and_far_is_coarse(big):
     assert (coarser[finer] > 1.5).all()
 
 
-def test_a_larger_threshold_is_never_finer_nor_is_a_larger_distance(big):
-    tree, last = big.pages.tree, None
-    size = pixels_per_unit(tree.box, big.cameras[0], 0.05)
-    for threshold in (0, 0.5, 1, 2, 4, 8, 1e9):
-        levels = levels_of(tree, size, threshold)
-        assert last is None or (levels >= last).all()
-        assert (levels_of(tree, size / 2, threshold) >= levels).all()
-        last = levels
-    assert (levels_of(tree, size, 0) == 0).all() and (last == tree.levels - 1).all()
-
-
 def test_what_does_not_fit_is_drawn_coarser(big):
     tree, camera = big.pages.tree, big.cameras[0]
     free, _ = chosen_levels(tree, camera, 0.05, 0.5, 10**9)
@@ -502,17 +481,6 @@ def test_those_who_draw_in_turns_share_the_memory_of_pages(big):
         assert (other.draw(camera, 0.05).color == apart[1]).all()
 
 
-def test_a_threshold_of_its_own_takes_the_place_of_a_pictures_detail(big):
-    fine, coarse = (
-        rasterizer_of_scene(big, CONFIG.replace(detail=detail).render) for detail in (0.0, 8.0)
-    )
-    camera = big.cameras[2]
-    every = fine.wanted(camera, 0.05)
-    assert fine.wanted(camera, 0.05, threshold=8.0) == coarse.wanted(camera, 0.05) != every
-    shown = fine.draw(camera, 0.05, threshold=8.0).color
-    assert (shown == coarse.draw(camera, 0.05).color).all()
-
-
 def test_a_page_leaves_its_room_when_nobody_holds_it():
     parts = [prepare(tame_splats(n, 4)) for n in (300, 700, 200)]
     none = prepare(tame_splats(300, 4).take(np.zeros(300, bool)))
@@ -555,15 +523,6 @@ def test_kept_values_stay_below_the_limit():
     assert kept.get("large") == "x" and kept.get(19) is None
     kept.put("large", "x", 10)
     assert kept.size == 10 and kept.peak == 500
-
-
-def test_pages_survive_a_journey(big):
-    again = pickle.loads(pickle.dumps(big))
-    assert (
-        again.pages.memory == big.pages.memory > again.pages.kept.most > again.pages.read.most > 0
-    )
-    a, b = big.pages.splats(3, 1), again.pages.splats(3, 1)
-    assert all((getattr(a, n) == getattr(b, n)).all() for n in NAMES)
 
 
 # --- scenes and frames ----------------------------------------------------------------------------
@@ -618,19 +577,6 @@ def test_a_frame_by_itself_has_the_bytes_of_the_frame_in_sequence(folder, film):
     ((picture, report),) = pipeline.render_rain(scene, cameras, alone, terrain=ground)
     assert report.index == 2 and (picture == shown[2]).all()
     assert not (shown[1] == shown[2]).all()
-
-
-def test_rainy_frames_stay_near_full_detail(folder, film):
-    ground, cameras, shown = film
-    worst = []
-    for detail in (0.0, 12.0):
-        config = CONFIG.replace(detail=detail)
-        found = pipeline.render_rain(import_scene(folder), cameras, config, terrain=ground)
-        worst.append([p for p, _ in found])
-    near = [psnr(a, b) for a, b in zip(shown, worst[0], strict=True)]
-    far = [psnr(a, b) for a, b in zip(worst[1], worst[0], strict=True)]
-    assert np.median(near) > 35 and min(near) > 30
-    assert max(far) < min(near)
 
 
 def test_frames_of_chunks_are_those_of_the_capture_held_whole(folder, film, whole):
@@ -696,25 +642,6 @@ def test_labels_of_chunks_by_splat_and_by_masks(big, tmp_path):
         read_labels(tmp_path / "few.npy", big, CONFIG.render)
 
 
-def test_beams_reach_a_part_that_is_as_fine_as_they_are(whole, big, monkeypatch):
-    from rainsim.lod import held_parts
-
-    place = whole.ground_frame.to_ground(whole.cameras[0].position[None])
-    part = held_parts.scene_in_reach(big, place, 9.0, 3e-3)
-    assert part.pages is None and held_parts.scene_in_reach(part, place, 9.0, 3e-3) is part
-    away = np.linalg.norm(part.splats.position - place, axis=1)
-    assert 9.0 < away.max() < 24.0  # m: leaves are taken whole, and those beyond are not
-    assert len(part.splats) < big.count
-    wide = held_parts.scene_in_reach(big, place, 9.0, 0.1)
-    near, far = (
-        [int((np.abs(np.linalg.norm(s.splats.position - place, axis=1) - at) < 1).sum())
-         for s in (whole, part, wide)] for at in (1, 6)
-    )  # fmt: skip
-    assert abs(near[1] - near[0]) < 0.02 * near[0] and 0 < far[2] < 0.5 * far[0]
-    monkeypatch.setattr(held_parts, "MOST", 3000)
-    assert len(held_parts.scene_in_reach(big, place, 9.0, 3e-3).splats) < 5000
-
-
 def test_a_lidar_scans_chunks_as_the_whole(whole, folder, film, tmp_path, monkeypatch):
     ground, cameras, _ = film
     lidar = Lidar(tuple(np.radians(np.arange(-40, 20, 4.0))), columns=120, far=9.0, near=0.2,
@@ -735,18 +662,6 @@ def test_a_lidar_scans_chunks_as_the_whole(whole, folder, film, tmp_path, monkey
     # Merged discs of a wall met at a slant differ by a part of a beam's footprint.
     assert np.median(np.abs(range_ - other)[both]) < 0.01
     assert np.quantile(np.abs(range_ - other)[both], 0.9) < 0.05
-
-
-def test_the_clean_layer_and_mirrors_are_drawn_from_pages(folder, film):
-    ground, cameras, _ = film
-    scene = import_scene(folder)
-    config = CONFIG.replace(frames=1, film="mirror", reflections="mirror")
-    states = pipeline.simulate(ground, config)
-    renderer = Renderer(scene, ground, config, cameras[0])
-    picture, report = renderer.draw(cameras[0], next(states), names=("clean", "depth"))
-    clean = report.aovs["clean"]
-    assert np.isfinite(clean).all() and clean.mean() > 0.05 and picture.any()
-    assert renderer.conductor.wet_scene.capture.paged.captured.used["splats"] > 0
 
 
 def test_painted_water_takes_the_place_of_what_the_chunks_show(whole, folder, film):

@@ -175,17 +175,6 @@ def test_folders_without_a_model_and_empty_files(tmp_path):
         read_cameras(tmp_path)
 
 
-def test_models_cut_off_anywhere(tmp_path):
-    made.colmap_binary(tmp_path, ring(count=3))
-    for name in ("cameras.bin", "images.bin"):
-        whole = (tmp_path / name).read_bytes()
-        for length in range(len(whole)):
-            (tmp_path / name).write_bytes(whole[:length])
-            with pytest.raises(InputError, match=r"cut off|is empty"):
-                read_cameras(tmp_path)
-        (tmp_path / name).write_bytes(whole)
-
-
 def test_transforms_json_tells_of_distortion(tmp_path):
     frame = '{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}'
     head = '{"w": 8, "h": 6, "fl_x": 9, "camera_model": "OPENCV", "k1": %s, "frames": [%s]}'

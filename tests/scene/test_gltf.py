@@ -30,30 +30,31 @@ def colors(splats, directions):
     return np.einsum("dk,nkc->ndc", basis(directions), padded(splats.sh, 16))
 
 
-def check_placed(found, stored, matrix, rotation, rng):
-    """Places, covariances and colours are those of splats that a matrix (4, 4) has placed."""
-    matrix = HALF_TURN @ matrix[:3]
-    want = stored.position @ matrix[:, :3].T + matrix[:, 3]
-    np.testing.assert_allclose(found.position, want, atol=1e-5)
+def check_placed(found, stored, matrix, rotation, tolerance=1e-5):
+    """Places, covariances and colours are those of splats that a matrix (3, 4) has placed."""
     np.testing.assert_allclose(
-        covariances(found), matrix[:, :3] @ covariances(stored) @ matrix[:, :3].T, atol=1e-4
+        found.position, stored.position @ matrix[:, :3].T + matrix[:, 3], atol=tolerance
     )
-    directions = rng.normal(size=(20, 3))
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
-    turned = directions @ (HALF_TURN @ rotation).T
-    np.testing.assert_allclose(colors(found, turned), colors(stored, directions), atol=1e-5)
+    np.testing.assert_allclose(
+        covariances(found), matrix[:, :3] @ covariances(stored) @ matrix[:, :3].T, atol=tolerance
+    )
+    ways = np.random.default_rng(1).normal(size=(20, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    np.testing.assert_allclose(
+        colors(found, ways @ rotation.T), colors(stored, ways), atol=10 * tolerance
+    )
+    np.testing.assert_allclose(found.opacity, stored.opacity, atol=tolerance)
 
 
-def test_splats_are_turned_half_about_z(tmp_path, rng):
+def test_splats_are_turned_half_about_z(tmp_path):
     found = reading(tmp_path, made.glb(SPLATS))
     assert found.format == "glTF" and found.broken == 0 and not found.notes
     made.check_arrays(found.splats)
-    np.testing.assert_allclose(found.splats.opacity, SPLATS.opacity, atol=1e-6)
-    check_placed(found.splats, SPLATS, np.eye(4), np.eye(3), rng)
+    check_placed(found.splats, SPLATS, HALF_TURN @ np.eye(4)[:3], HALF_TURN)
 
 
 @pytest.mark.parametrize("scale", [(0.5, 0.5, 0.5), (0.5, 2.0, 1.0)])
-def test_nodes_turn_move_and_scale(tmp_path, rng, scale):
+def test_nodes_turn_move_and_scale(tmp_path, scale):
     inner = Rotation.from_euler("xyz", (20, -50, 80), degrees=True)
     outer = np.eye(4)
     outer[:3, :3] = 3 * Rotation.from_euler("xyz", (70, 10, 5), degrees=True).as_matrix()
@@ -70,7 +71,8 @@ def test_nodes_turn_move_and_scale(tmp_path, rng, scale):
     ]  # fmt: skip
     found = reading(tmp_path, made.glb(SPLATS, nodes))
     made.check_arrays(found.splats)
-    check_placed(found.splats, SPLATS, outer @ own, outer[:3, :3] / 3 @ inner.as_matrix(), rng)
+    turn = HALF_TURN @ outer[:3, :3] / 3 @ inner.as_matrix()
+    check_placed(found.splats, SPLATS, HALF_TURN @ (outer @ own)[:3], turn)
 
 
 def test_a_mesh_in_two_nodes_is_there_twice(tmp_path):
@@ -144,10 +146,3 @@ def test_what_is_not_read_is_one_line(tmp_path, case):
     with pytest.raises(InputError, match=expected) as caught:
         reading(tmp_path, made.glb(SPLATS, **how))
     assert "\n" not in str(caught.value) and ";" in str(caught.value)
-
-
-def test_a_cut_file_is_refused(tmp_path):
-    whole = made.glb(SPLATS)
-    for end in (5, 15, 300, len(whole) - 1):
-        with pytest.raises(InputError, match="ends"):
-            reading(tmp_path, whole[:end])

@@ -142,12 +142,6 @@ def test_a_mask_is_measured_before_it_is_unpacked(tmp_path, side):
     assert peak < 10e6
 
 
-def test_a_capture_of_one_splat_is_told_what_it_lacks(tmp_path):
-    write_splats(tmp_path / "a.ply", captures.splats_at(np.zeros((1, 3))))
-    with pytest.raises(GroundError, match=r"1 of the capture's 1 splats can be ground .*takes 3"):
-        import_scene(tmp_path / "a.ply", up=(0, 0, 1), meters_per_unit=1)
-
-
 def test_splats_in_one_point_are_no_ground(tmp_path):
     points = np.zeros((60, 3))
     points[-4:, :2] = (1, 0), (-1, 0), (0, 1), (0, -1)  # most distances from the middle are 0

@@ -58,12 +58,6 @@ def test_newest_iteration_and_the_cameras_beside_it(model):
     assert by_file.name == "yard" and len(by_file.cameras) == 12
 
 
-def test_cameras_given_instead(model, tmp_path):
-    write_transforms(tmp_path / "few.json", ring(count=5))
-    assert len(import_scene(model, cameras=tmp_path / "few.json").cameras) == 5
-    assert len(import_scene(model, cameras=ring(count=6)).cameras) == 6
-
-
 def test_a_lone_file_is_read_with_an_up_and_a_scale_that_are_assumed(tmp_path):
     write_splats(tmp_path / "lone.ply", splats_at(patio(3000)))
     assert import_scene(tmp_path / "lone.ply").ground_frame.scale_assumed
@@ -236,11 +230,6 @@ def test_scenes_of_the_user_come_first(fake_built_in, monkeypatch, tmp_path):
     scene = load_scene("hut")
     assert scene.source == first / "hut" and scene.name == "hut"
     assert load_scene("shed", up=(0, 0, 1), meters_per_unit=1.0).name == "shed"
-
-
-def test_built_in_scenes_are_listed():
-    names = ("bicycle", "street", "traffic")
-    assert list_scenes() == [(name, "built-in stand-in", True) for name in names]
 
 
 def test_a_path_in_the_current_folder_is_taken_before_a_name(monkeypatch, tmp_path):

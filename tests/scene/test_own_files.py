@@ -17,7 +17,6 @@ from rainsim.errors import InputError
 from rainsim.io.arrays import Field, read_arrays, write_arrays
 from rainsim.io.files import write_json
 from rainsim.io.states import read_state, write_state
-from rainsim.output_folder import read_record
 from rainsim.scene.cameras import load_cameras, write_transforms
 from rainsim.scene.folder import read_scene, write_scene
 from rainsim.scene.ground import read_ground_frame, write_ground_frame
@@ -63,14 +62,6 @@ def refused(read, path):
         read(path)
     one_clear_line(caught.value)
     return str(caught.value)
-
-
-def test_files_cut_off_anywhere(kind):
-    path, read = kind
-    whole = path.read_bytes()
-    for length in sorted({*range(0, len(whole), len(whole) // 60), len(whole) - 1}):
-        path.write_bytes(whole[:length])
-        refused(read, path)
 
 
 def test_a_disk_that_goes_away_is_no_damage(tmp_path, monkeypatch):
@@ -273,11 +264,3 @@ def test_a_sky_whose_name_no_file_can_have(tmp_path):
     path.write_text(path.read_text().replace('"overcast"', f'"{"a" * 9000}.hdr"'))
     with pytest.raises(InputError, match="there is no sky file"):
         read_simulation(tmp_path)
-
-
-def test_a_record_that_is_none_counts_as_no_record(tmp_path):
-    for text in (b"", b"[]", b'{"program": 1}', b"[" * 100_000, b"1" * 5000, b"\xff\xfe"):
-        (tmp_path / "provenance.json").write_bytes(text)
-        assert read_record(tmp_path) == {}
-    (tmp_path / "provenance.json").write_bytes(b'\xef\xbb\xbf{"program": "rainsim", "a": 1}')
-    assert read_record(tmp_path)["a"] == 1

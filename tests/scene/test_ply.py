@@ -183,10 +183,3 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
         write_splats(tmp_path / "a.ply", bad)
     assert (tmp_path / "a.ply").read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
-
-
-def test_a_file_of_the_original_code(shared):
-    splats, notes = read_splats(shared("data/formats/train_1000_sh3.ply"))
-    assert len(splats) == 1000 and splats.sh.shape == (1000, 16, 3) and notes == []
-    np.testing.assert_allclose(np.linalg.norm(splats.rotation, axis=1), 1, atol=1e-6)
-    assert 0 <= splats.opacity.min() < splats.opacity.max() <= 1

@@ -453,6 +453,30 @@ def test_sound_files_are_read_and_mutated_ones_or_refused(tmp_path, name, late):
     assert outcome["refused"] > kind.refused * QUICK and outcome["read"] > 0, outcome
 
 
+# Kinds of which no part is a whole file of less: text may end anywhere.
+ENDED = [*formats.READERS, *own.KINDS, "COLMAP colmap_binary", "glTF camera", "glb camera"]
+
+
+@pytest.mark.parametrize("name", ENDED)
+def test_files_cut_off_anywhere_are_refused(tmp_path, name):
+    needs_extra(name)
+    kind = KINDS[name]
+    whole = kind.whole()
+    if name == "sog":
+        whole = made.bundle(whole)
+    files = whole if isinstance(whole, dict) else {kind.name: whole}
+    for part in {files[""]} if "" in files else files:
+        content = files[part]
+        for length in {*range(0, len(content), len(content) // 50 + 1), len(content) - 1}:
+            if name == "splat" and length and length % 32 == 0:
+                continue  # a whole file of fewer splats
+            cut = {part: content[:length]}
+            path = put(tmp_path, kind, files | cut if isinstance(whole, dict) else cut[part])
+            with pytest.raises(RainsimError) as caught:
+                kind.read(path)
+            one_clear_line(caught.value)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_a_campaign_in_a_process_of_its_own(tmp_path, name):

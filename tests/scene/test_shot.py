@@ -241,17 +241,6 @@ def test_data_of_a_gltf_lie_in_its_folder_or_below_and_in_a_regular_file(tmp_pat
             read_shot(path)
 
 
-@pytest.mark.parametrize("suffix", [".gltf", ".glb"])
-def test_gltf_that_is_cut_off_is_refused(tmp_path, suffix):
-    path = tmp_path / f"a{suffix}"
-    gltf(path)
-    whole = path.read_bytes()
-    for length in range(0, len(whole), 97):
-        path.write_bytes(whole[:length])
-        with pytest.raises(InputError):
-            read_shot(path)
-
-
 # --- USD
 
 

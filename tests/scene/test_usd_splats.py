@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from test_gltf import colors, covariances
+from test_gltf import check_placed
 
 import made_formats as made
 from made_captures import random_splats
@@ -36,22 +36,6 @@ def placed(rows):
     rows = ", ".join(str(tuple(row)) for row in np.asarray(rows).tolist())
     order = 'uniform token[] xformOpOrder = ["xformOp:transform"]'
     return f"matrix4d xformOp:transform = ({rows})\n{order}\n"
-
-
-def check_placed(found, stored, matrix, rotation, tolerance=1e-5):
-    """Places, covariances and colours are those of splats that a matrix (3, 4) has placed."""
-    np.testing.assert_allclose(
-        found.position, stored.position @ matrix[:, :3].T + matrix[:, 3], atol=tolerance
-    )
-    np.testing.assert_allclose(
-        covariances(found), matrix[:, :3] @ covariances(stored) @ matrix[:, :3].T, atol=tolerance
-    )
-    ways = np.random.default_rng(1).normal(size=(20, 3))
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
-    np.testing.assert_allclose(
-        colors(found, ways @ rotation.T), colors(stored, ways), atol=10 * tolerance
-    )
-    np.testing.assert_allclose(found.opacity, stored.opacity, atol=tolerance)
 
 
 def test_what_world_writes_comes_back(tmp_path, monkeypatch):

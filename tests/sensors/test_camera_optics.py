@@ -87,14 +87,6 @@ def test_a_moving_edge_is_spread_over_its_path():
     assert report.time == 0.0 and report.milliseconds["draw"] == samples + 1
 
 
-def test_what_stands_still_is_drawn_once():
-    picture, report, renderer = taken(Optics(samples=16), 0.0)
-    assert renderer.exposures == [1 / 48] and report.aovs["depth"].max() == 4
-    sharp, _, once = taken(Optics(), 30.0)
-    assert len(once.exposures) == 1
-    np.testing.assert_array_equal(picture, sharp)
-
-
 def film(scene, config, optics, names=(), cameras=None):
     """Return the frames of some cameras, by default of the first."""
     terrain = pipeline.extract_terrain(scene, config)

@@ -10,7 +10,7 @@ import factories
 from rainsim.config.settings import Config
 from rainsim.constants import SH_0
 from rainsim.pipeline import extract_terrain
-from rainsim.raster import Rasterizer, prepare
+from rainsim.raster import prepare
 from rainsim.render import drawn_capture
 from rainsim.render.wet_scene import WetScene
 from rainsim.scene.cameras import resize_to
@@ -19,7 +19,7 @@ from rainsim.scene.types import Scene
 from rainsim.shading import calibration, sky, skyline, visibility
 from rainsim.shading.color import GAMMA
 from rainsim.shading.environment import COLUMNS, ROWS, directions
-from rainsim.splatting.prepared import LANES, recolored
+from rainsim.splatting.prepared import recolored
 from rainsim.terrain.surface import terrain_from_heights
 from rainsim.terrain.types import INFERRED, Grid
 from scenes import ground_frame, looking, tiny_scene
@@ -107,34 +107,6 @@ def test_places_and_depths_that_are_no_numbers_are_not_seen():
     assert look(np.inf) == [2, 0, 0, 0]
     assert (total[0, :4] > 0).all() and not total[1:].any()
     np.testing.assert_allclose(total[0, 4:], (0, 0, -2), rtol=1e-6)  # towards the camera, twice
-
-
-def test_a_picture_can_leave_the_last_splats_out(yard):
-    scene, which = yard
-    last = which == 1
-    all_of_them = Rasterizer(prepare(scene.splats, last))
-    without = Rasterizer(prepare(scene.splats.take(~last)))
-    camera = scene.cameras[-1]
-    whole = all_of_them.draw(camera, 0.1)
-    left = all_of_them.draw(camera, 0.1, leading=True)
-    assert all_of_them.prepared.leading == -(-(~last).sum() // LANES)
-    plain = Rasterizer(prepare(scene.splats)).draw(camera, 0.1)
-    np.testing.assert_allclose(whole.color, plain.color, atol=2e-4)
-    # the faintest of the last splats fill a chunk; all 40 fit into it here
-    assert all_of_them.prepared.leading * LANES - (~last).sum() >= last.sum()
-    np.testing.assert_allclose(left.color, plain.color, atol=2e-4)
-    many = np.repeat(np.arange(len(which)), np.where(last, 20, 1))
-    crowd, crowd_last = scene.splats.take(many), last[many]
-    left = Rasterizer(prepare(crowd, crowd_last)).draw(camera, 0.1, leading=True)
-    filled = prepare(crowd, crowd_last).leading * LANES - (~crowd_last).sum()
-    assert 0 <= filled < LANES
-    only = prepare(crowd, crowd_last).order[: prepare(crowd, crowd_last).leading * LANES]
-    drawn = Rasterizer(prepare(crowd.take(np.sort(only)))).draw(camera, 0.1)
-    np.testing.assert_allclose(left.alpha, drawn.alpha, atol=2e-4)
-    assert (
-        abs(left.alpha - without.draw(camera, 0.1).alpha).max()
-        <= abs(whole.alpha - without.draw(camera, 0.1).alpha).max() + 1e-3
-    )
 
 
 def dome(covered):

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import factories
-from benchmarks import traced
 from rainsim.constants import FAR_AWAY
 from rainsim.numerics import pixel_batches
-from rainsim.numerics.interpolation import bilinear, map_place
+from rainsim.numerics.interpolation import map_place
 from rainsim.scene.view import View, pixel_ray
 from rainsim.shading import sky, surface_point, wet_pass, wetting
 from rainsim.shading.dampness import find_dampness
@@ -154,44 +153,6 @@ def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisone
         wanted[at] = wet.dampness
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-4)
     assert beside > 0 and (wanted > 0.05).mean() > 0.3 and np.ptp(wanted) > 0.5
-
-
-def test_rays_are_graded_as_pixels_are(dry, scene, poisoned):
-    """A picture's pixels as rays that start at its eye, where walls have no plane of their own."""
-    look = dull(open_sky=1)
-    dry["plane_depth"] = dry["depth"]
-    picture = wet_pass.DryPicture(**dry, meters_per_unit=UNIT, around=F4(0))
-    shape, none = (HEIGHT, WIDTH), np.empty((0, 0), F4)
-    found = poisoned((*shape, 3))
-    wet_pass.grade_and_wet(
-        picture, VIEW, *scene, look, found, poisoned(shape), poisoned(shape), none
-    )
-    v, u = np.indices(shape)
-    direction = np.stack(pixel_ray(VIEW, v.ravel(), u.ravel()), -1).astype(F4)
-    length = np.linalg.norm(direction, axis=-1)
-    distance = picture.depth.ravel() * UNIT * length
-    rays = traced.DryRays(
-        picture.color.reshape(-1, 3), picture.alpha.ravel(), distance, distance,
-        (picture.normal.reshape(-1, 3) @ TURN.T).astype(F4), np.tile(EYE, (len(direction), 1)),
-        direction / length[:, None],
-    )  # fmt: skip
-    light = poisoned((len(direction), 3))
-    traced.grade_rays(rays, *scene, look, light)
-    np.testing.assert_allclose(light, found.reshape(-1, 3), rtol=1e-4, atol=2e-5)
-
-
-def test_a_chunk_is_interpolated_as_single_places_are(poisoned):
-    rng = np.random.default_rng(3)
-    field = rng.normal(size=(7, 11)).astype(F4)
-    n = pixel_batches.CHUNK - 9
-    s = poisoned((2 * pixel_batches.CHUNK,))
-    u, v = rng.uniform(-2, 12, n).astype(F4), rng.uniform(-2, 8, n).astype(F4)
-    s[:n], s[pixel_batches.CHUNK :][:n] = u, v
-    place, corner = np.empty(pixel_batches.CHUNK, np.uint32), poisoned((pixel_batches.CORNERS,))
-    pixel_batches.interpolate(field, n, s, 0, pixel_batches.CHUNK, place, corner)
-    wanted = [bilinear(field, *at) for at in zip(u, v, strict=True)]
-    np.testing.assert_allclose(s[:n], wanted, rtol=1e-5, atol=1e-6)
-    assert np.isnan(s[n : pixel_batches.CHUNK]).all()
 
 
 def test_nowhere_is_some_place_in_memory(poisoned):

@@ -26,16 +26,6 @@ LAST = CONFIG.frames - 1
 # --- frames ---------------------------------------------------------------------------------------
 
 
-def test_a_frame_by_itself_has_the_bytes_of_the_drive(scene, ground, drive):
-    switches = [leg.first for leg in ground.legs]
-    assert len(switches) > 2
-    for index in (switches[1], switches[2] - 1, LAST):
-        assert frames(scene, ground, [index])[index] == drive[index], index
-    some = [switches[1] - 2, switches[1], switches[1] + 2]  # as a run that goes on draws them
-    assert frames(scene, ground, some) == {index: drive[index] for index in some}
-    assert len(set(drive.values())) == CONFIG.frames
-
-
 def test_a_late_frame_makes_and_simulates_only_its_own_leg(scene, ground, drive, monkeypatch):
     begun = []
 

@@ -18,7 +18,7 @@ from rainsim.io.images import read_image
 from rainsim.pipeline import FrameSequence, render_rain
 from rainsim.render.shutter import PathMotion
 from rainsim.scene.cameras import look_at, resize_to
-from rainsim.scene.folder import override_ground_frame, write_scene
+from rainsim.scene.folder import override_ground_frame
 from rainsim.scene.library import load_scene
 from rainsim.surface.offered_views import offered_cameras
 from rainsim.terrain.classify import read_mask
@@ -380,30 +380,6 @@ def test_a_path_on_which_the_rain_stands_still_is_drawn_by_its_file(scene, sessi
     assert sequence.next == 0  # the state at hand is that of the first frame too
     ((picture, _),) = sequence.frames([0])
     np.testing.assert_array_equal(picture, frames[0][0])
-
-
-@pytest.mark.slow
-def test_a_shot_is_drawn_by_its_command_to_the_byte(scene, tmp_path, rainsim_run):
-    folder = tmp_path / "tiny"
-    write_scene(folder, scene)
-    session, view = looked_around(load_scene(folder))
-    taken = Home(tmp_path / "out", str(folder)).save_shot(session, view, 2, 72, 44)
-    done = rainsim_run(taken.command)
-    assert done.exit_code == 0, done.output
-    (frame,) = (taken.folder / "drawn/frames").iterdir()
-    assert frame.name == "00002.png"
-    np.testing.assert_array_equal(read_image(frame), read_image(taken.folder / "picture.png"))
-
-
-@pytest.fixture
-def rainsim_run(tmp_path, monkeypatch):
-    """Return a function that runs `rainsim ARGUMENTS` in this process."""
-    from click.testing import CliRunner
-
-    from rainsim.cli import cli
-
-    monkeypatch.chdir(tmp_path)
-    return lambda arguments: CliRunner().invoke(cli, arguments, prog_name="rainsim")
 
 
 # --- the thread that draws ------------------------------------------------------------------------

@@ -68,16 +68,6 @@ def test_the_tile_shows_the_frequency_and_decay_of_theory(depth, waves):
     assert decay == pytest.approx(bulk + bottom, rel=0.1)
 
 
-def test_dispersion_and_damping_of_the_physics_notes():
-    k = 2 * np.pi / 0.01
-    assert angular_frequency(k, 0.03) / k == pytest.approx(0.248, abs=0.002)
-    assert angular_frequency(k, 0.002) / k == pytest.approx(0.229, abs=0.002)
-    assert 1 / damping_rate(k, 0.1) == pytest.approx(1.27, rel=0.01)
-    thin = damping_rate(k, 0.002) - 2e-6 * k**2
-    assert 1 / thin == pytest.approx(1.2, rel=0.06)
-    assert damping_rate(0.0, 0.01) == 0
-
-
 def test_one_long_step_equals_many_short_ones():
     tiles = [RippleTile(0.5, 64) for _ in range(2)]
     for tile in tiles:
@@ -120,17 +110,6 @@ def test_large_drops_make_long_waves_and_rings_keep_their_energy():
     np.testing.assert_allclose(means, [455, 226, 139], rtol=0.09)
     assert footprint(REFERENCE_DROP) == FOOTPRINT
     assert footprint(1.3e-3) < 0.6 * FOOTPRINT and footprint(4.2e-3) > 1.5 * FOOTPRINT
-
-
-def test_energy_only_decays_and_is_conserved_but_for_damping():
-    tile = RippleTile(0.5, 64, 0.05)
-    tile.advance(0.0, np.array([[0.2, 0.2]]), momentum(3e-3))
-    energy = [tile.energy()]
-    for _ in range(20):
-        tile.advance(0.02)
-        energy.append(tile.energy())
-    assert (np.diff(energy) < 0).all()
-    assert energy[-1] > 0.1 * energy[0]
 
 
 def test_a_calm_disc_grows_behind_the_ring_at_the_least_group_speed():
