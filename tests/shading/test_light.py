@@ -111,7 +111,9 @@ def test_level_things_gloss_by_their_water_alone_where_tops_are_drawn():
 
     def gloss(height, tops_end):
         look = AS_CAPTURED._replace(tops_end=tops_end)
-        level = surface_point.ground_share(np.float32(height), np.float32(1), np.float32(0))
+        level = surface_point.ground_share(
+            np.float32(height), np.float32(1), surface_point.NOT_POOR
+        )
         return wetting.rainy_color(
             0.2, 0.15, 0.1, 1.0, -0.3, 0.3, 1.0, height, level, wet, look
         )[3]  # fmt: skip
