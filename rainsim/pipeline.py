@@ -139,8 +139,8 @@ class FrameSequence:
         if tell is not None and self._water is None:
             tell("light", 0, 1)
         is_first = self._water is None and self._ground is None and self.states is None
-        if is_first and self.backend == "cpu" and get_num_threads() > 1 and may_run_beside():
-            self._begun = _begun(simulate(self.terrain, self.config))
+        if is_first and get_num_threads() > 1 and may_run_beside():
+            self._begun = _begun(self.terrain, self.config, self.backend)
         for picture, report in self._renderer.render(self._states_of(list(indices), tell)):
             yield picture, report if self.exr is None else replace(report, exr=self.exr)
 
@@ -182,9 +182,19 @@ class FrameSequence:
         self._water = simulate(terrain, self.config, first=self._steps)
 
 
-def _begun(states):
-    """Return an iterator of states; the first, which takes one core, is found beside the light."""
-    first = ThreadPoolExecutor(1, initializer=set_threads, initargs=(1,)).submit(next, states)
+def _begun(terrain, config, backend):
+    """Return an iterator of states; the first, which takes one core, is found beside the light.
+
+    On a device only what the host does for it is.
+    """
+    beside = ThreadPoolExecutor(1, initializer=set_threads, initargs=(1,)).submit
+    if backend == "cuda":
+        from rainsim.cuda.simulation import simulate as simulate_on_device
+        from rainsim.cuda.simulation import start_of
+
+        return simulate_on_device(terrain, config, beside(start_of, terrain, config).result)
+    states = simulate(terrain, config)
+    first = beside(next, states)
 
     def all_states():
         yield first.result()

@@ -4,6 +4,7 @@ What rings on the tile, and what drips from objects, the host decides as on the 
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,40 +60,58 @@ class DeviceState:
         return self.simulation.drip_list
 
 
-class Simulation:
-    """Rain, water and ripples of a configuration on a terrain, frame by frame.
+class Start(NamedTuple):
+    """The water at the start, on the host; all but the device's part of a `Simulation`.
 
     config : Config. Water of scheme "auto" is computed by "lean" here.
+    """
+
+    config: object
+    weather: object
+    exposure: object
+    solver: object
+    tile: object
+    objects: object
+    by_keyframes: object
+    notes: tuple
+
+
+def start_of(terrain, config):
+    """Return the `Start` of a simulation; needs no device, so it can be found beside other work."""
+    asked = config.water.scheme
+    if asked == "auto":
+        config = replace(config, water=replace(config.water, scheme="lean"))
+    weather, now = Weather(config), config.at(0.0)
+    exposure = rain_exposure(terrain, host.usual_wind(config), config.rain.roughness)
+    depth, notes = host.initial_water(terrain, now, exposure)
+    by_keyframes = moved_water(terrain, config, exposure)
+    solver = host.water_solver(terrain, now)
+    solver.set_state(depth)
+    why = "auto: the scheme of a CUDA device" if asked == "auto" else solver.reason
+    notes = (*notes, f"water: scheme {solver.scheme} ({why})")
+    tile = host.ripple_tile(config, weather, depth, terrain.grid.spacing)
+    objects = host.Objects(host.surfaces_of(terrain), now, *host.tops_of(terrain, config, now))
+    host.warm_up(tile, objects, weather)
+    objects.open_account()
+    return Start(config, weather, exposure, solver, tile, objects, by_keyframes, notes)
+
+
+class Simulation:
+    """Rain, water and ripples on a terrain from a `Start` on, frame by frame.
+
     drip_list : DripList or None. Drips of the last state; None if nothing drips.
     """
 
     @one_fault()
-    def __init__(self, terrain, config):
-        asked = config.water.scheme
-        if asked == "auto":
-            config = replace(config, water=replace(config.water, scheme="lean"))
-        self.config, self.weather = config, Weather(config)
-        surfaces = host.surfaces_of(terrain)
-        wind = host.usual_wind(config), config.rain.roughness
-        exposure = rain_exposure(terrain, *wind)
-        start, interval = config.at(0.0), 1 / config.fps
-        depth, notes = host.initial_water(terrain, start, exposure)
-        self._by_keyframes = moved_water(terrain, config, exposure)
-        solver = host.water_solver(terrain, start)
-        solver.set_state(depth)
-        why = "auto: the scheme of a CUDA device" if asked == "auto" else solver.reason
-        self._notes = (*notes, f"water: scheme {solver.scheme} ({why})")
-        tile = host.ripple_tile(config, self.weather, depth, terrain.grid.spacing)
-        self._objects = objects = host.Objects(
-            surfaces, start, *host.tops_of(terrain, config, start)
-        )
-        host.warm_up(tile, objects, self.weather)
-        objects.open_account()
-        self.water = GpuWaterSolver(solver, exposure)
-        self.ripples = Ripples(tile, interval)
-        self.drip_list = None if objects.drips is None else DripList()
+    def __init__(self, terrain, start):
+        self.config, self.weather, self._objects = start.config, start.weather, start.objects
+        self._by_keyframes, self._notes = start.by_keyframes, start.notes
+        self.water = GpuWaterSolver(start.solver, start.exposure)
+        self.ripples = Ripples(start.tile, 1 / self.config.fps)
+        self.drip_list = None if self._objects.drips is None else DripList()
         self._shelter = None
         if self.weather.rains and terrain.footprints:
+            wind = host.usual_wind(self.config), self.config.rain.roughness
             self._shelter = Shelter(terrain, wind, self.water.sources)
         self._index = -1
 
@@ -136,8 +155,11 @@ class Simulation:
         water.advance(time - before, rain=fall)
 
 
-def simulate(terrain, config):
-    """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end."""
-    run = Simulation(terrain, config)
+def simulate(terrain, config, start=None):
+    """Yield the `DeviceState` at the time of each frame, from frame 0 on, without end.
+
+    `start` returns the `Start` where it is found elsewhere.
+    """
+    run = Simulation(terrain, start_of(terrain, config) if start is None else start())
     while True:
         yield run.advance()

@@ -10,6 +10,7 @@ from scipy import sparse
 
 from rainsim.constants import GRAVITY
 from rainsim.io import cache
+from rainsim.io.states import DRIP_COLUMNS
 from rainsim.jit import device_function
 from rainsim.numerics.random import mix, subkey, uniform
 from rainsim.rain.heightfield import GROUND, OBSTACLE
@@ -71,6 +72,8 @@ class Drips:
         self._drops = np.zeros(count, np.int64)
         self._lost = 0.0  # lies where no edge can be reached
         self._film = 0.0
+        self._places = np.stack([self._x, self._y, self._from, self._to], axis=1)
+        self._listed = None
         self._flight = _no_drops()
         self._landed = _no_drops()
 
@@ -112,6 +115,7 @@ class Drips:
         Returns row, column : int64 array (m,)
             volume : float64 array (m,) [m3]. What came to the ground.
         """
+        self._listed = None
         gone, still = _split(self._flight, self._flight["end"] < stop)
         self._flight = still
         new = self._part(start, stop, np.asarray(wind), roughness)
@@ -138,16 +142,14 @@ class Drips:
 
     def falling(self):
         """Return drips in the air and just landed, see `io.states.DRIP_COLUMNS`, and their ids."""
-        both = _join(self._flight, self._landed)
-        site = both["site"]
-        table = np.stack(
-            [
-                self._x[site], self._y[site], self._from[site], self._to[site],
-                both["diameter"], both["begin"], both["end"], both["wind_x"], both["wind_y"],
-            ],
-            axis=1,
-        )  # fmt: skip
-        return table, both["id"]
+        if self._listed is None:
+            both = _join(self._flight, self._landed)
+            table = np.empty((len(both["site"]), len(DRIP_COLUMNS)))
+            table[:, :4] = self._places[both["site"]]
+            for n, name in enumerate(("diameter", "begin", "end", "wind_x", "wind_y")):
+                table[:, 4 + n] = both[name]
+            self._listed = table, both["id"]
+        return self._listed
 
     def _receive(self, came):
         """Fill the films first, then the edges."""

@@ -97,7 +97,7 @@ def test_wet_tops_are_those_of_the_cpu():
     off = settings.replace(tops="off")
     without = rendering.Renderer(scene, terrain, off, camera).draw(camera, state)[0]
     assert decibel(without, picture) < 40
-    own = cuda_simulation.Simulation(terrain, settings)
+    own = cuda_simulation.Simulation(terrain, cuda_simulation.start_of(terrain, settings))
     np.testing.assert_allclose(own.advance().top_water, state.top_water, rtol=1e-6)
 
 
