@@ -37,8 +37,7 @@ def small_state(index=2):
     drips[:, 4:7] = 0.005, 0.1, 0.3  # diameter, begin, end
     return SimState(
         index, index / 24, np.full(SHAPE, 2e-3, np.float32), np.zeros((2, *SHAPE), np.float32),
-        np.zeros((2, 8, 8), np.float32), 1.0, np.zeros((3, 3), np.float32),
-        np.full(3, 2e-3, np.float32), np.zeros(3, np.uint8), Ledger(initial=1.0).as_dict(),
+        np.zeros((2, 8, 8), np.float32), 1.0, Ledger(initial=1.0).as_dict(),
         ("a note",), drips, np.arange(2, dtype=np.uint64), np.zeros(1),
     )  # fmt: skip
 
