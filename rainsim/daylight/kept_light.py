@@ -1,7 +1,5 @@
 """The relit light of a capture: from an earlier run or found and kept, and the splats in it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -3,8 +3,6 @@
 The unit is the irradiance of the same sky on open level ground.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

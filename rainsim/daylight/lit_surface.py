@@ -1,7 +1,5 @@
 """The surface of a capture as the search for its light takes it, and the carry-over to splats."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

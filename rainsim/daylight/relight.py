@@ -11,8 +11,6 @@ open level ground keeps its mean. S is measured for each channel, where the edge
 surfaces of one colour.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import dataclass

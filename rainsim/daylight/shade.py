@@ -5,8 +5,6 @@ may be bluer and darker than that. Pairs of places on both sides of an edge show
 splats in the shade around take it over.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

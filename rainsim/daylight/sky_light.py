@@ -1,7 +1,5 @@
 """Light of the whole sky: directions over the hemisphere, and how bright skies are in each."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # Coefficients a to e of Perez's function for red, green and blue: fitted to the sky of Hosek and

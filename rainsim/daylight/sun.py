@@ -5,8 +5,6 @@ places of one surface, alike in colour, tell light from paint. The direction who
 where brightness changes is the sun's.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

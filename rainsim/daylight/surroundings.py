@@ -6,8 +6,6 @@ of which sends out what the capture shows. The unit is the light on open level g
 out none.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

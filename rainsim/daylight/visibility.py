@@ -5,8 +5,6 @@ nearest to the far end counts. This takes a tenth of the time of a splatted pict
 need no more.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

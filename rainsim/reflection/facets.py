@@ -7,8 +7,6 @@ times Fresnel's factor (Torrance and Sparrow 1967). Without these weights a film
 rms is up to a quarter too bright where it mirrors a dark hedge under a bright sky.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which mirrored pictures a frame gets: at which levels of the water, and how large."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -8,8 +8,6 @@ formulas are those of `planar_mirror`; only order and packing stand here again, 
 `tests/reflection/test_mirrors.py` fails when the two differ.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim import jit

@@ -4,8 +4,6 @@ Where the mirrored picture can be blurred, the slopes are drawn together and eac
 picture blurred for the slopes between them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ONE, TWO, ZERO

@@ -5,8 +5,6 @@ sun's highlight (n.h)^p, and a march with a point test for reflections. Its refl
 is one of the laws in `shading.fresnel`. No loop that draws the default knows of these.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -11,8 +11,6 @@ order or the number of the steps in one changes the other. One by one the rays w
 twice as long on a CPU. `tests/reflection/test_mirrors.py` fails when the two differ.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

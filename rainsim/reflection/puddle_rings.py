@@ -4,8 +4,6 @@ Shores take the waves that run on to them. In a puddle of some centimetres most 
 ends there, so that its water is calmer than a wide puddle in the same rain.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

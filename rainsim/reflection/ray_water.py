@@ -1,7 +1,5 @@
 """Intersection of view rays with the water: distances, and the share of each pixel it covers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO

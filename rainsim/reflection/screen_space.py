@@ -5,8 +5,6 @@ does, where the picture shows that point: marching each bent ray gives noise. Wh
 shows nothing of what is mirrored, the environment map is.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import FAR_AWAY, HALF, ONE, ZERO

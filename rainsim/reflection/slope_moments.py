@@ -8,8 +8,6 @@ from the paper: the footprint of a pixel seen at a slant is put together from se
 row, and the covariance serves to draw mirrored rays (`mirrored_rays`), not a highlight.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ A planar mirror is drawn for each level at which much of the water stands, see `
 water at other levels is marched on the screen.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import NamedTuple
 

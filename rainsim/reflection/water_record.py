@@ -5,8 +5,6 @@ pixel that it covers. Formulas take a `WaterPixel`; the CPU's loops read it from
 thread makes it of its own numbers.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

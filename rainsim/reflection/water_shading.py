@@ -6,8 +6,6 @@ glint, mixed with the dry picture by the water's coverage. The CPU's loops over 
 water (`water_record`) and the CUDA thread of a pixel call the same three functions.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

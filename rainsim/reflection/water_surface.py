@@ -1,7 +1,5 @@
 """The water surface that pictures show: smooth where the solver's is made of wet and dry cells."""
 
-from __future__ import annotations
-
 import math
 import weakref
 from typing import NamedTuple

@@ -6,8 +6,6 @@ FILM_SLOPE about the surface. So both are one list with the ground's water, and 
 reflections.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Labels of actors: which pixels show them, their boxes in space and in the picture, flow."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The actors of a scene at one time: their splats, put before the static set's, and their poses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.actors.motion import same_place

@@ -4,8 +4,6 @@ Only those AOVs are computed that are asked for by name, by the passes of `rains
 `recompose` computes a frame from its AOVs: so it defines what they mean.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Both backends have a `Conductor` and draw with the `Frame` that it fills.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import contextmanager
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The splats of a capture as cameras and mirrored cameras see them, dry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@
 and is in the file's colour space, so that the parts add up to the beauty without other numbers.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -4,8 +4,6 @@ Rain shows on water more than on anything else, and water seen steeply mirrors a
 light. The map says where water will stand and what stands before it; no picture is drawn.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.scene.view import image_point

@@ -13,8 +13,6 @@ What a pass computes stands with its backend: `rainsim.render.passes` for the CP
 buffer, too: `rainsim.render.layers` has the passes that write layers, which run after these.
 """
 
-from __future__ import annotations
-
 import inspect
 import operator
 from typing import NamedTuple

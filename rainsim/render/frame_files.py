@@ -1,7 +1,5 @@
 """The files of frames: a picture for each, and its layers."""
 
-from __future__ import annotations
-
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

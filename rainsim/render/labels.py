@@ -5,8 +5,6 @@ simulated water, so that they are as exact as those. `rainsim.render.aov` lists 
 AOVs of a frame.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

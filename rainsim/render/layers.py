@@ -4,8 +4,6 @@
 the CPU; of a frame that a GPU drew its buffers are fetched first.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

@@ -4,8 +4,6 @@ A capture is what its cameras saw. Elsewhere it has holes, haze and undersides t
 there at will.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.raster import Rasterizer, prepare

@@ -11,8 +11,6 @@ rest; measured 1.4 GB for eight gardens at 1297 x 840 on 1,048,576 cells, and fo
 mirror at that size another 0.2 GB. That is without levels of detail.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from rainsim.compiling.pool import free_memory

@@ -5,8 +5,6 @@ a page from the nearest splat of that level: the light of the captured sun, the 
 gloss, and whether hardly any camera saw it. All else follows from the page's own splats.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

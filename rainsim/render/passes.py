@@ -1,7 +1,5 @@
 """What the passes of a frame compute on the CPU; `rainsim.render.frame` names them in order."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.particles import drop_radiance, paper

@@ -1,7 +1,5 @@
 """The splats of a capture in the light and the wetness of the present time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.daylight.kept_light import covered_share, under_clouds

@@ -5,8 +5,6 @@ alone here, by the kernels that draw them all; since alphas combine as products 
 through, that of the other drops follows by a division.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Water that falls before a camera: streaks, splashes, and fog of drops too small to draw."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.drops import RainField, RainSpectrum

@@ -4,8 +4,6 @@
 read, `rainsim.render.passes` computes them.
 """
 
-from __future__ import annotations
-
 from rainsim.reflection.water_pass import WetPicture, choice_of
 from rainsim.render.conductor import Conductor
 from rainsim.render.layers import buffers_of, facts_of

@@ -1,7 +1,5 @@
 """The report of a drawn frame, and the clock of its stages."""
 
-from __future__ import annotations
-
 import time as clock
 from dataclasses import dataclass, field
 

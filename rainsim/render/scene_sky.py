@@ -1,7 +1,5 @@
 """The skies of a scene: that of the day, its seen parts, and the surroundings that mirror it."""
 
-from __future__ import annotations
-
 from rainsim.io import images
 from rainsim.shading import environment, sky
 from rainsim.shading.skyline import with_skyline

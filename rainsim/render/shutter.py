@@ -1,7 +1,5 @@
 """Where a camera is when its shutter closes, from the cameras of the frames before and after."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

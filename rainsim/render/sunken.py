@@ -1,7 +1,5 @@
 """Says when a camera is under water or underground: the picture is then black or inside out."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.water.puddles import low_ground

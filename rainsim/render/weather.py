@@ -1,7 +1,5 @@
 """The weather of a frame as plain values, for label files and the card of a data set."""
 
-from __future__ import annotations
-
 import math
 
 from rainsim.config.settings import MM_PER_HOUR

@@ -1,7 +1,5 @@
 """How wet a part of the ground is, one time after another."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import NamedTuple
 

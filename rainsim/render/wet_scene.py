@@ -1,7 +1,5 @@
 """The wet capture without water, as cameras, mirrored cameras and rays see it."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -6,8 +6,6 @@ splats of the sky are left out, and the sky of the day is drawn where the other 
 open. While clouds cover a part of the sky, the captured sky shows too: drawn once, as a panorama.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -6,8 +6,6 @@ trees and masts, is none; what is rough from above is leaves. Moving actors are 
 are.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

@@ -6,8 +6,6 @@ ground of albedo a gives it the radiance L = a E / pi, and the zenith has the ra
 bright the sky is against the land, and how much darker things get when they are wet.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

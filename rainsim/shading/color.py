@@ -1,7 +1,5 @@
 """Colours: display-referred values, linear light, luminance."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ and `tone_curve` encodes it, on both backends and for the AOVs. `compose` does s
 in chunks of CHUNK pixels, each in passes over numbers that stay in cache.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

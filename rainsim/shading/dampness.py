@@ -1,7 +1,5 @@
 """The wetness of the surfaces in a picture, as `wet_pass` wets them: for the layer of that name."""
 
-from __future__ import annotations
-
 from rainsim.constants import FAR_AWAY, ONE, ZERO
 from rainsim.jit import cpu_kernel, prange
 from rainsim.scene.view import View

@@ -5,8 +5,6 @@ What water darkens is the diffuse part, and what it mirrors is drawn again. So l
 surfaces that are wet show the colour of their darker views, the same from all sides.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

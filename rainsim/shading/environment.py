@@ -4,8 +4,6 @@ Column and row of a direction: azimuth 0 (the ground frame's x axis) is the map'
 azimuth grows to the left (a panorama as seen from inside), row 0 is the zenith.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

@@ -1,7 +1,5 @@
 """Reflectance of smooth water."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -11,8 +11,6 @@ SIGGRAPH, the photopic function of the eye: 0.384 f0 + 0.478 f1 + 0.138 f2 per s
 lens was measured; a clean one scatters several times less than the eye.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

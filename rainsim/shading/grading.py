@@ -3,8 +3,6 @@
 Colours are linear light, radiance relative to display white, unless a name says otherwise.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

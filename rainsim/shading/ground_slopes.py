@@ -1,7 +1,5 @@
 """The ground as the wet-ground mirror takes it: where a ray of view meets it, and its slopes."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

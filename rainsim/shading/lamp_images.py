@@ -8,8 +8,6 @@ Their light is that of a microfacet surface under a small source (Walter et al. 
 20, with the visible slopes of `microfacet`), whose size widens the density of slopes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

@@ -5,8 +5,6 @@ The bright pixels of a square are the bits of one number, row by row. Both backe
 functions; in `find_lamps` one thread takes all squares.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

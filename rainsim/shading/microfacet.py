@@ -5,8 +5,6 @@ what hides what). Tilts in the plane of view matter most, for they turn the mirr
 much in elevation: they are cut into SAMPLES parts.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 All are environment maps, see `environment`.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

@@ -5,8 +5,6 @@ drawn. But dark things were trained over black and are open too: panes, eaves, d
 distinguishes them: the sky is what is connected with the zenith, and gaps in a crown high above.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

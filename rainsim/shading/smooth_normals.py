@@ -6,8 +6,6 @@ surer. Ground and leaves keep the normals of their pixels: the ground's map says
 each leaf mirrors by itself.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ONE, ZERO

@@ -4,8 +4,6 @@ Along a wall seen at a slant the mean of the splats' centres lies before the wal
 show that, labels do.
 """
 
-from __future__ import annotations
-
 import math
 
 from rainsim.constants import ONE, ZERO

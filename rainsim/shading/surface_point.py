@@ -4,8 +4,6 @@ Where the bed is poorly known, splats of the ground lie before and behind it: th
 shows one shows the bed, where it meets that. Places and normals are in the ground frame.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ that saw them. A mirrored camera looks up from below the ground, where no camera
 would hide the sky.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

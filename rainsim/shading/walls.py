@@ -1,7 +1,5 @@
 """How wet walls and things are: all surfaces that are no mapped ground."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -12,8 +12,6 @@ left out of that picture, for it would hide from below what stands on it; the lo
 the height and slope of the ground under each pixel. Nothing mirrored is sharp: all of it is coarse.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import replace

@@ -6,8 +6,6 @@ look-ups in maps runs in vectors, which takes a third of the time of one pixel a
 the loops and the packing stand here; `tests/shading/test_grade.py` fails when the two differ.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

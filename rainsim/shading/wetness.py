@@ -5,8 +5,6 @@ holds (`storage` in classes.toml), or while it rains at WET_RATE. After the rain
 the film first, which ends the gloss, and then the water in the pores, which ends the darkening.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

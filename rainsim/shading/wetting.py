@@ -7,8 +7,6 @@ differ. Colours are linear light, radiance relative to display white; places and
 ground frame.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

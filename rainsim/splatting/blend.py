@@ -1,7 +1,5 @@
 """Blending: each tile's list, sorted and blended front to back, in blocks of 4 x 4 pixels."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -19,8 +19,6 @@ Gaussian Representation, ACM Trans. Graph. 43(4)) give to merged splats.
 chunks that big captures are cut into.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ and load nine rows of sixteen numbers for every splat. This function keeps them.
 The same formula in plain Python is the tests' reference.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.jit import cgutils, intrinsic, ir, types

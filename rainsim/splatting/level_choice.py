@@ -4,8 +4,6 @@ The choice follows from the camera, the size of its picture and the capture, chu
 knows the sizes for which its level is the right one.
 """
 
-from __future__ import annotations
-
 from rainsim.constants import ONE
 from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.splatting.project import Frustum

@@ -1,7 +1,5 @@
 """The loops that merge splats cell by cell, see `rainsim.splatting.detail`."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ into the room that lies before it. The actors come first because pictures can le
 chunks.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

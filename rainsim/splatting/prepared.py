@@ -5,8 +5,6 @@ quantity has a row of its own, so that the projection runs on 16 splats at a tim
 the box its splats lie in: most of what is out of the picture is left out chunk by chunk.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

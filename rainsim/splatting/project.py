@@ -1,7 +1,5 @@
 """Projection: each splat to an ellipse in the picture, its colour, and the tiles it meets."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Which splats each tile shows, and in which order."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim import jit

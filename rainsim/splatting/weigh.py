@@ -1,7 +1,5 @@
 """How much light each splat gives to parts of a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, QUARTER, ZERO

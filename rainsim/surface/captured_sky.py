@@ -5,8 +5,6 @@ is found as a map over directions, from pixels that may be sky in several camera
 the horizon shows the sky if it has the map's colour there.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph

@@ -6,8 +6,6 @@ different sides is solid. So each camera's depth picture is cut into voxels, the
 in a voxel is a place of the surface, and a place that other cameras look through is left out.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Splats of sparse photographs are no surface, but what a camera sees of the groun
 meets the ground. So pictures are laid on the ground by their rays, if the depth is about right.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

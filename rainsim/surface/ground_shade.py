@@ -6,8 +6,6 @@ one. So shade is believed if one such ratio recurs along edges on different pain
 it is found along most of its border. What paint may have done stays as it is.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

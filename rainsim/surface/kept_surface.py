@@ -1,7 +1,5 @@
 """The surface and the sky of a capture, found once from its own cameras, and kept."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -6,8 +6,6 @@ no splat hangs before a camera that stood there. So many cameras are tried, smal
 that look through clear air at ground that is captured, by splats that are small in the picture.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ are not: seen at its right height, a speck of the ground has the same brightness
 compared over patches, and the means over patches are weighted by how sharply the agreement peaks.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

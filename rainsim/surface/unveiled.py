@@ -4,8 +4,6 @@ Splats of a sky also hang before things, as a veil. What is behind was trained t
 veil only: its own colours, with which training made up for it, may be black, white or red.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

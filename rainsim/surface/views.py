@@ -1,7 +1,5 @@
 """The depth pictures of a capture's cameras, without the sky."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -7,8 +7,6 @@ does what lies in a hole of it, or farther behind that: a pane, and what it mirr
 plane of its own stays, the ground at its foot, a coping or a ledge, and so do leaves.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

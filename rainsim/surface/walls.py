@@ -6,8 +6,6 @@ distances (the transform of Hough 1962, in the plane of the ground). Then offset
 are tried in the pictures, and what lies about it is moved to where they agree.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

@@ -5,8 +5,6 @@ The hollows among them are noise, and no water stands in them. What is known is 
 ground, about how high, and of which colour. Its unevenness is assumed to be that of average roads.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 from skimage.morphology import reconstruction

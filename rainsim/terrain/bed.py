@@ -1,7 +1,5 @@
 """The bed from measured heights: gaps, objects, noise, smoothing, and the soil under grass."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

@@ -5,8 +5,6 @@ level paving in patches and strips narrower than a stride is moss in the joints 
 it lies on paving, and a puddle's water does not leave through it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 from skimage.morphology import remove_small_objects

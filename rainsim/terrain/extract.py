@@ -4,8 +4,6 @@ What lies near the bed, seen from above, gives the ground even under a table; ev
 ceiling, seen from above, gives the tops of occluders; the same seen from below their undersides.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

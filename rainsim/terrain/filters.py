@@ -4,8 +4,6 @@ A separable filter goes along one axis at a time: each pass is split across the 
 the lines do not know of each other.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

@@ -1,7 +1,5 @@
 """The terrain of a scene from the results of an earlier run, or extracted and kept for the next."""
 
-from __future__ import annotations
-
 from rainsim.io import cache
 from rainsim.terrain.types import NO_TOPS, Grid, Terrain, Tops
 

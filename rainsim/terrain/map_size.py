@@ -1,7 +1,5 @@
 """Which map a scene asks for: its extent and the size of its cells, and why."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

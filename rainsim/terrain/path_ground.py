@@ -5,8 +5,6 @@ from the cameras of the whole path and the cells' size alone, and the water of e
 same time whichever frames are drawn: a frame by itself shows the water that it has in the sequence.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Pictures to look at: classes and puddles from above, the ground's grid through a camera."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ water starts full, rain runs over its lowest rim, and it mirrors by the optics o
 image that the splats hold is removed, because it would be seen through the new water.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Water that a user puts on the ground, as a map of depths from above."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ well-supported layer of splats within reach of its neighbours' level. Where ther
 is carried on for a while, so that ground behind a hedge is found again.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

@@ -1,7 +1,5 @@
 """Height maps without a capture: from triangle meshes (PLY, OBJ) and maps (TIFF, .asc)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The table of ground classes, rainsim/config/classes.toml."""
 
-from __future__ import annotations
-
 import functools
 import tomllib
 from dataclasses import dataclass

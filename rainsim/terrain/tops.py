@@ -5,8 +5,6 @@ bonnets do not. Of a level one the splats show more than the map has cells for: 
 in finer cells they give the relief on which thin puddles stand and the gaps that part them.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Types of terrains: the grid, the flat tops, and the terrain with its heights and classes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields
 
 import numpy as np

@@ -3,8 +3,6 @@
 The host chooses the levels by the counts, as for the CPU.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Twin of `rainsim.reflection.planar_mirror`: the capture as mirrored cameras see it."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

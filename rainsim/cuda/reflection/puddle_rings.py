@@ -1,7 +1,5 @@
 """Twin of `reflection.puddle_rings`: rings where shores are near, a thread for each block."""
 
-from __future__ import annotations
-
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.reflection.puddle_rings import ring_amplitude, wet_share
 

@@ -1,7 +1,5 @@
 """Twin of `reflection.ray_water`: where view rays meet the water, a thread for each pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ONE, ZERO

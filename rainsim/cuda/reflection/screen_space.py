@@ -1,7 +1,5 @@
 """Twin of `reflection.screen_space`: the depth that water can mirror, and hits of its rays."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ZERO

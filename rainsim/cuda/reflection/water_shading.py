@@ -5,8 +5,6 @@ what `list_water`, `tilt_water`, `mirror_light` or `march_light`, and `lay_water
 same functions of a pixel.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import TWO, ZERO

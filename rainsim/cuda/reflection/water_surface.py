@@ -1,7 +1,5 @@
 """Twin of `reflection.water_surface`: the smooth surface that pictures show, from solver cells."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO

@@ -1,7 +1,5 @@
 """Twin of `reflection.wet_tops`: where a picture shows wet tops, a thread for each pixel."""
 
-from __future__ import annotations
-
 from rainsim.constants import ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.reflection.wet_tops import wet_top

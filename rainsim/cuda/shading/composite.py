@@ -1,7 +1,5 @@
 """Twin of `rainsim.shading.composite`: the finished picture of 8 bit, a thread for each pixel."""
 
-from __future__ import annotations
-
 from rainsim.constants import HALF, ONE
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.numerics.interpolation import bilinear_color

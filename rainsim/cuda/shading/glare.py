@@ -4,8 +4,6 @@ The CPU convolves by Fourier transforms. Lamps have few pixels, so that here the
 It is in the order of rows and columns: the sums have the same bytes every time.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ZERO

@@ -3,8 +3,6 @@
 The host finds the lamps in the level picture, as for the CPU; scenes without any fetch none.
 """
 
-from __future__ import annotations
-
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.shading.ground_slopes import block_ray
 from rainsim.shading.lamp_images import LampView, lamp_light

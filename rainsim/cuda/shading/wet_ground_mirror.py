@@ -3,8 +3,6 @@
 Every block of the field of mirrored light is computed, wet or not.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

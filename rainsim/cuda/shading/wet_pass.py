@@ -1,7 +1,5 @@
 """Twin of `rainsim.shading.wet_pass`: the wet picture without water, a thread for each pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rainsim.constants import ZERO
