@@ -22,13 +22,13 @@ from rainsim.jit import cpu_kernel, prange
 from rainsim.numerics.random import poisson_tables
 from rainsim.rain import poisson_cells
 from rainsim.rain.heightfield import GROUND, OBSTACLE, Surfaces, flat_surfaces
-from rainsim.rain.impacts import Impacts, fill_impacts, joined, run_listing
+from rainsim.rain.impacts import Impacts, fill_impacts, run_listing
 from rainsim.rain.size_distribution import CLASSES, RainSpectrum, drop_volume
 from rainsim.rain.wind import wind_shares
 
 __all__ = [
     "GROUND", "OBSTACLE", "Drops", "Impacts", "RainField", "RainSpectrum", "Surfaces", "Weather",
-    "drop_volume", "flat_surfaces", "impacts", "joined",
+    "drop_volume", "flat_surfaces", "impacts",
 ]  # fmt: skip
 
 MARGIN = 2.0  # s before the first keyframe and after the last that drops aloft may need

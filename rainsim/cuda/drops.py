@@ -307,7 +307,6 @@ class Impacts:
         self._corners = corner, corner + np.array([nx, ny, 0.0]) * surfaces.spacing
         self.surfaces = sent_surfaces(surfaces)
         self._now = Listed(field)
-        self._fall = cuda.to_device(np.ascontiguousarray(-field.velocity[:, 2]))
         self._found, self._slots = Counted(slots, np.int32), slots
         self.make_room(room)
 

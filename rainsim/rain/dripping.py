@@ -54,14 +54,15 @@ class Drips:
         self._row, self._column = foot.T if count else np.zeros((2, 0), np.int64)
         # half of the way into the lower cell: drops fall clear of the edge
         middle = 0.25 * edge + 0.75 * foot if count else np.zeros((0, 2))
-        self._x = surfaces.origin[0] + (middle[:, 1] + 0.5) * spacing
-        self._y = surfaces.origin[1] + (middle[:, 0] + 0.5) * spacing
+        x = surfaces.origin[0] + (middle[:, 1] + 0.5) * spacing
+        y = surfaces.origin[1] + (middle[:, 0] + 0.5) * spacing
         rows, columns = edge.T if count else np.zeros((2, 0), np.int64)
         lands = surfaces.top[self._row, self._column].astype(np.float64)
         under = surfaces.underside[rows, columns].astype(np.float64)
         self._falls = under - lands > STEP
-        self._from = np.where(self._falls, under, lands)
-        self._to = lands
+        start = np.where(self._falls, under, lands)
+        self._places = np.stack([x, y, start, lands], axis=1)
+        self._x, self._y, self._from, self._to = self._places.T
         self._next = self.point[self._row, self._column]  # drips on a lower object go on
         self._cells = np.bincount(self.point[self.point >= 0], minlength=count)
         self._stuck = np.count_nonzero(self.point == -2)  # cells
@@ -72,7 +73,6 @@ class Drips:
         self._drops = np.zeros(count, np.int64)
         self._lost = 0.0  # lies where no edge can be reached
         self._film = 0.0
-        self._places = np.stack([self._x, self._y, self._from, self._to], axis=1)
         self._listed = None
         self._flight = _no_drops()
         self._landed = _no_drops()

@@ -25,12 +25,13 @@ class Objects:
         self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
         self._surfaces, self._roughness = surfaces, rain.roughness
         self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
-        solid = surfaces.top - surfaces.ground > LOWEST
-        self._area = float(np.count_nonzero(solid)) * surfaces.spacing**2
         self.tops = tops
         self._on_tops = tops.after(rain.past, dried)
         if self.drips is not None:
             self._fill_tops()
+        else:
+            solid = surfaces.top - surfaces.ground > LOWEST
+            self._area = float(np.count_nonzero(solid)) * surfaces.spacing**2
 
     def _fill_tops(self):
         """Give each drip point the room that the tops above it have, and the water of past rain."""
@@ -66,10 +67,10 @@ class Objects:
 
     def take_even_rain(self, depth):
         """Give the objects a depth [m] of rain that falls evenly."""
-        came = self._area * depth
         if self.drips is not None:
             came = self.drips.take_even_rain(depth)
         else:
+            came = self._area * depth
             self._kept += came
         self._came += came
 
