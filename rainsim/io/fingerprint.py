@@ -10,6 +10,8 @@ import json
 import platform
 from importlib import metadata
 
+import numpy as np
+
 from rainsim import __version__
 from rainsim.io.files import require_file
 
@@ -31,7 +33,7 @@ def hash_of(facts):
 def hash_of_array(array):
     """Return the SHA-256 of an array's type, shape and values."""
     digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
-    digest.update(array.tobytes())
+    digest.update(np.ascontiguousarray(array).reshape(-1))  # `tobytes` would copy it
     return digest.hexdigest()
 
 

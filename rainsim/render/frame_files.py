@@ -12,7 +12,7 @@ from rainsim.render.report import FrameReport
 
 FRAME = "frames/{:05d}.png"
 VERSION = 1  # of layers/NNNNN.json
-WRITERS = min(max(cores() - 1, 1), 8)  # pictures encoded at a time
+WRITERS = min(max(cores() - 1, 1), 16)  # pictures encoded at a time
 
 
 class FrameWriter:

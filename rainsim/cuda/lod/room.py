@@ -10,9 +10,11 @@ import numpy as np
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.splatting import project
 from rainsim.cuda.splatting.merged import clean
-from rainsim.cuda.splatting.prepared import CHUNKS_AT_ONCE, ROW, DeviceSplats, reach_of
+from rainsim.cuda.splatting.prepared import ROW, DeviceSplats, reach_of
 from rainsim.errors import ParameterError
 from rainsim.splatting.prepared import LANES
+
+AT_ONCE = 4096  # chunks that are sent together
 
 
 class DeviceRoom(DeviceSplats):
@@ -84,8 +86,8 @@ class DeviceRoom(DeviceSplats):
         stale = np.unique(chunks[self._there[chunks] != written[chunks]])
         breaks = np.flatnonzero(np.diff(stale) != 1) + 1
         for run in np.split(stale, breaks) if len(stale) else ():
-            for first in range(int(run[0]), int(run[-1]) + 1, CHUNKS_AT_ONCE):
-                self._send_run(slice(first, min(first + CHUNKS_AT_ONCE, int(run[-1]) + 1)))
+            for first in range(int(run[0]), int(run[-1]) + 1, AT_ONCE):
+                self._send_run(slice(first, min(first + AT_ONCE, int(run[-1]) + 1)))
         self._there[stale] = written[stale]
 
     def _send_run(self, run):

@@ -11,10 +11,11 @@ from rainsim.cuda.jit import cuda
 from rainsim.cuda.splatting import project
 from rainsim.cuda.splatting.merged import PosedActors, clean
 from rainsim.errors import ParameterError
+from rainsim.numerics.blocks import in_blocks
 from rainsim.shading.wet_ground_mirror import as_in_level_picture
 from rainsim.splatting.prepared import GEOMETRY, LANES, OPACITY, prepare
 
-CHUNKS_AT_ONCE = 4096  # of colours that are converted and sent together
+CHUNKS_AT_ONCE = 64  # of colours that a thread converts
 ROW = GEOMETRY * LANES  # numbers of a chunk's geometry
 MOST_NUMBERS = 1 << 24  # whole numbers that a float32 tells apart
 
@@ -72,12 +73,16 @@ class DeviceSplats:
 
     def _send_harmonics(self, prepared, count, place):
         """Send the harmonics of the first `count` chunks to a place in the list of chunks."""
-        row = self.groups * 8 * LANES
-        for first in range(0, count, CHUNKS_AT_ONCE):
-            part = prepared.harmonics(first, min(first + CHUNKS_AT_ONCE, count))
-            halves = project.in_groups(part).reshape(-1)
-            at = (place + first) * row
-            self.sh[at : at + halves.size].copy_to_device(halves)
+        if count == 0:
+            return
+        halves = np.empty((count, self.groups * 8 * LANES), np.float16)
+
+        def convert(part):
+            halves[part] = project.in_groups(prepared.harmonics(part.start, part.stop))
+
+        in_blocks(convert, count, CHUNKS_AT_ONCE)
+        at = place * halves.shape[1]
+        self.sh[at : at + halves.size].copy_to_device(halves.reshape(-1))
 
     def put_actors(self, merged):
         """Send the actors of a merged set; its static chunks are on the device already."""

@@ -109,12 +109,12 @@ def splat_color(sh, chunk, lane, groups, bands, x, y, z):
 
 
 def in_groups(sh):
-    """Return rows of coefficients (chunks, 3 k, 256) as `splat_color` reads them, float16."""
+    """Return coefficients (chunks, 3 k, 256) as `splat_color` reads them, rows of float16."""
     chunks, count, _ = sh.shape
     groups = -(-count // 8)
     rows = np.zeros((chunks, groups * 8, LANES), np.float16)
     rows[:, :count] = np.clip(sh, -6e4, 6e4)
-    return np.ascontiguousarray(rows.reshape(chunks, groups, 8, LANES).transpose(0, 1, 3, 2))
+    return rows.reshape(chunks, groups, 8, LANES).transpose(0, 1, 3, 2).reshape(chunks, -1)
 
 
 @fast_device
