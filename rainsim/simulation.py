@@ -160,7 +160,7 @@ def simulate(terrain, config, dtype=np.float32, first=None):
             solver.deposit(*objects.advance(before, time, weather))  # drips from objects
             if rain is not None:
                 area = whole if opened is exposure else _area(terrain, opened)
-                drips = objects.landed(before, time)
+                drips = objects.landed()
                 rings = rings_of(ripples.size, rain, before, time, drips, area)
                 ripples.advance(time - before, *rings)
             by_keyframes(solver, objects, before, time)

@@ -147,7 +147,7 @@ class Simulation:
             objects.take_even_rain(fall * (time - before))
         water.deposit(*objects.advance(before, time, self.weather))
         if rain is not None:
-            area, drips = water.sources.exposed * water.spacing**2, objects.landed(before, time)
+            area, drips = water.sources.exposed * water.spacing**2, objects.landed()
             rings = host.rings_of(ripples.tile.size, rain, before, time, drips, area)
             ripples.ring(*rings[:2], rings[2] / (time - before))
             ripples.advance()
