@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rainsim.errors import ParameterError, require_choice
+from rainsim.jit import get_num_threads
 from rainsim.scene.view import lens_array
 from rainsim.splatting import project
 from rainsim.splatting.blend import blend_tiles
@@ -149,9 +150,11 @@ class Rasterizer:
         chunks, start = self._list(camera, near, None, self.prepared.compensate, None)
         weight = np.empty((start[-1], 4), np.float32)
         weigh_tiles(self._record, self._entry, start, camera.width, part, step, weight)
-        light = np.zeros((len(self.prepared.order), 4))
-        add_weights(self._entry, chunks, self._lane, self.prepared.order, weight, light)
-        light *= step * step
+        light = np.empty((len(self.prepared.order), 4))
+        add_weights(
+            self._entry, chunks, self._lane, self.prepared.order, weight, step * step,
+            get_num_threads(), light,
+        )  # fmt: skip
         return light
 
     def _blend(self, camera, start, background, halfway, drop_last):

@@ -302,12 +302,11 @@ def _weighted_median(values, weight):
 
 def _sure_share(places, solids, window, direction):
     """Return the sunlit share of places, the mean of each and of places SURE_REACH around it."""
-    steps = about_normal(places.normal)
-    total = seen_from(places, solids, window, direction[None], 2 * SIDE)[:, 0]
-    for step in steps:
-        moved = places._replace(position=places.position + np.float32(SURE_REACH) * step)
-        total += seen_from(moved, solids, window, direction[None], 2 * SIDE)[:, 0]
-    return total / (1 + len(steps))
+    steps = np.stack([np.zeros_like(places.normal), *about_normal(places.normal)])
+    moved = (places.position + np.float32(SURE_REACH) * steps).reshape(-1, 3)
+    moved = places._replace(position=moved, normal=np.tile(places.normal, (len(steps), 1)))
+    seen = seen_from(moved, solids, window, direction[None], 2 * SIDE)
+    return seen.reshape(len(steps), -1).mean(axis=0)
 
 
 def shade_of(light, direction, ratio):

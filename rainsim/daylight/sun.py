@@ -23,6 +23,7 @@ from rainsim.daylight.visibility import (
     resized,
 )
 from rainsim.jit import get_num_threads
+from rainsim.numerics.blocks import in_blocks
 
 CELL = 0.07  # m, of the places that are compared
 REACH = 0.5  # m between two of them
@@ -37,6 +38,7 @@ DIM = 0.004  # linear light below which noise decides
 DIRECTIONS = 240  # of the first search
 LEAST_HEIGHT = 0.07  # sine of the elevation: lower suns light no ground
 COARSE, FINE = 448, 1024  # px, sides of the maps of the search
+AT_ONCE = 32  # directions whose strengths are found together
 CANDIDATES = 4  # of the first search that are refined
 FIRST_STEP = 0.09  # rad, of the refinement in coarse maps
 LEAST_SCORE = 0.08  # of the coarse maps, from which a sun is sought any further
@@ -219,7 +221,14 @@ def _changes(places, solids, window, directions, side):
     """Return the change of visibility over each pair, (p, m), from some directions."""
     seen = seen_from(places, solids, window, directions, side)
     seen[places.normal @ directions.T.astype(np.float32) < 0.05] = 0
-    return seen[places.pair[:, 0]] - seen[places.pair[:, 1]]
+    change = np.empty((len(places.pair), len(directions)), np.float32)
+
+    def work(part):
+        first, second = places.pair[part].T
+        np.subtract(seen[first], seen[second], out=change[part])
+
+    in_blocks(work, len(change))
+    return change
 
 
 def _near(directions, disc):
@@ -278,12 +287,12 @@ def strengths(places, solids, window, directions, side):
     if rms == 0:
         return found
     norm = rms * np.sqrt(len(places.change))
-    for start in range(0, len(directions), BATCH):
-        part = directions[start : start + BATCH]
-        change = _changes(places, solids, window, part, side)
+    for start in range(0, len(directions), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        change = _changes(places, solids, window, directions[part], side)
         square = np.einsum("ij,ij->j", change, change)
         product = places.change @ change
-        found[start : start + BATCH] = product / np.sqrt(np.maximum(square, 25.0)) / norm
+        found[part] = product / np.sqrt(np.maximum(square, 25.0)) / norm
     return found
 
 

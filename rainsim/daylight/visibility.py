@@ -27,6 +27,7 @@ LEAST_SLANT = np.float32(0.15)  # cosine: planes that are steeper to the directi
 RAGGED = np.float32(2)  # times the margin, that what hides a place without a plane stands above it
 
 
+PACKED = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)  # rows and columns of a `Solids` covariance
 BATCH = 8  # maps that are drawn at once
 COARSER = 3.0  # px of a map within which splats are drawn as one
 
@@ -56,13 +57,10 @@ def solids_of(surface):
     """Return the places of a `Surface` as `Solids`: discs in their planes, balls where is none."""
     normal, flat = surface.normal.astype(np.float64), surface.flat.astype(np.float64)
     spread = ROUND_SHARE**2 * surface.area.astype(np.float64)
-    full = np.eye(3) - flat[:, None, None] * normal[:, :, None] * normal[:, None, :]
-    full *= spread[:, None, None]
-    packed = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    return Solids(
-        surface.position, np.ascontiguousarray(packed, np.float32),
-        np.full(len(spread), REACH, np.float32),
-    )  # fmt: skip
+    covariance = np.empty((len(spread), 6), np.float32)
+    for k, (i, j) in enumerate(PACKED):
+        covariance[:, k] = spread * ((i == j) - flat * normal[:, i] * normal[:, j])
+    return Solids(surface.position, covariance, np.full(len(spread), REACH, np.float32))
 
 
 def with_splats(solids, splats):
@@ -101,10 +99,9 @@ def coarsened(solids, cell):
     position = solids.position[fine]
     middle = np.stack([mean(position[:, k]) for k in range(3)], -1)
     away = position - middle[which]
-    parts = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     covariance = np.stack([
         mean(solids.covariance[fine, k] + away[:, i] * away[:, j])
-        for k, (i, j) in enumerate(parts)
+        for k, (i, j) in enumerate(PACKED)
     ], -1)  # fmt: skip
     # As much of the cell is covered as its splats cover together, at most what one Gaussian of
     # their spread does.

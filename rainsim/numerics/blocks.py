@@ -5,10 +5,11 @@ side by side. Each function returns the same bytes for any number of threads.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
 import numpy as np
 
-from rainsim.jit import get_num_threads
+from rainsim.jit import get_num_threads, may_run_beside, set_threads
 
 ROWS = 1 << 16  # of a block: some 2 MB of positions, which stay in a core's cache
 _INDEX_BITS = np.uint64(32)
@@ -39,6 +40,18 @@ def of_each(function, *values):
     """Return the list of what a function returns for each of some values, in several threads."""
     with ThreadPoolExecutor(get_num_threads()) as pool:
         return list(pool.map(function, *values))
+
+
+def beside(function, *values):
+    """Return a function of the result of `function(*values)`, which another thread begins to find.
+
+    With one thread, or where kernels may not run on two, it is found when it is asked for.
+    """
+    threads = get_num_threads()
+    if threads == 1 or not may_run_beside():
+        return cache(lambda: function(*values))
+    pool = ThreadPoolExecutor(1, initializer=set_threads, initargs=(threads,))
+    return pool.submit(function, *values).result
 
 
 def stable_order(numbers):

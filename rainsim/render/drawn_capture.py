@@ -34,8 +34,8 @@ class DrawnCapture:
     rasterizer_of : callable. rasterizer_of(prepared) returns what draws prepared
         splats.
     normals : tuple, optional. See `surface.kept_surface.splat_normals`.
-    splats, prepared : Splats and PreparedSplats. Those of the scene in the
-        present light; of a big capture without actors only `splats`.
+    prepared : PreparedSplats or None. The scene's in the present light; None of a
+        big capture without actors.
     merge : float [px]. Side of the cells in which frames and mirrored pictures do
         merge splats.
     near : float [capture units]
@@ -52,8 +52,10 @@ class DrawnCapture:
         self.near = NEAR / self.frame.meters_per_unit
         self._present, self._colors, self._terrain = present, colors, terrain
         self.badly_placed, self.paged, self._rasterizer_of = badly_placed, paged, rasterizer_of
-        self.splats = present.at(colors)
-        self.prepared = replace(prepare(self.splats, badly_placed), compensate=scene.antialiased)
+        splats = present.at(colors)
+        self._is_as_captured = splats is self._whole.splats
+        self.prepared = replace(prepare(splats, badly_placed), compensate=scene.antialiased)
+        del splats  # before levels are made of them
         self.actors = ActorSplats(scene.actors, self.prepared) if scene.actors else None
         if self.actors is not None:
             self.prepared = self.actors.static
@@ -83,11 +85,12 @@ class DrawnCapture:
         colors = self._present.state(now)
         if colors == self._colors:
             return
-        self._colors, self.splats = colors, self._present.at(colors)
+        self._colors, splats = colors, self._present.at(colors)
+        self._is_as_captured = splats is self._whole.splats
         if self._detail is None and self.prepared is not None:
-            self.prepared = recolored(self.prepared, self.splats)
+            self.prepared = recolored(self.prepared, splats)
         elif self._detail is not None:
-            self._detail.recolor(self.splats)
+            self._detail.recolor(splats)
             self.prepared = self._detail.prepared
         if self.paged is not None:
             self.paged.take_colors(colors)
@@ -121,6 +124,11 @@ class DrawnCapture:
     # ---- what is drawn
 
     @property
+    def splats(self):
+        """`Splats` of the scene in the present light, made each time that they are asked for."""
+        return self._present.at(self._colors)
+
+    @property
     def drawn(self):
         """`prepared`, with levels of detail where splats are merged."""
         return self.prepared if self._detail is None else self._detail.drawn
@@ -138,7 +146,7 @@ class DrawnCapture:
         """Return the colour of all splats as captured, or that of `layers` where it is the same."""
         if self.paged is not None:
             return self.paged.captured.draw(camera, self.near).color
-        if self.splats is self._whole.splats:
+        if self._is_as_captured:
             return layers.color
         options = {"compensate": self.prepared.compensate, "detail": self.merge}
         return self._captured_splats().draw(camera, self.near, **options).color

@@ -4,12 +4,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from rainsim.io import cache
 from rainsim.shading import wetness
 from rainsim.shading.bodies import BodyMap, body_map
 from rainsim.shading.surface_point import GroundMaps
+from rainsim.terrain import filters
 from rainsim.water.tracks import NO_TRACKS
 
 
@@ -97,4 +97,4 @@ class WetGround:
 
 def blurred_grass(terrain):
     """Return where grass is, 0 to 1, its edges softened by a cell, float32 (ny, nx)."""
-    return ndimage.gaussian_filter(terrain.grassy.astype(np.float32), 1)
+    return filters.gaussian_filter(terrain.grassy.astype(np.float32), 1)

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.daylight.kept_light import kept_relight
+from rainsim.io.allocator import trim
+from rainsim.numerics.blocks import beside
 from rainsim.numerics.mipmap import coarsened
 from rainsim.rain.exposure import rain_exposure
 from rainsim.raster import Rasterizer, prepare
@@ -67,6 +69,9 @@ class WetScene:
         unveiled = None if found is None else found.unveiled
         backdrop = Backdrop(scene, own_sky, replaces_sky(config), unveiled)
         self.scene = backdrop.scene
+        views, normals = beside(views_of_splats, self.scene), None
+        if found is not None and scene.pages is None:
+            normals = beside(kept_normals, scene, found, own_sky)
         self._albedo, about_albedo = albedo_of_white(
             terrain, self.scene, config.render.ground_albedo
         )
@@ -77,7 +82,7 @@ class WetScene:
             self._albedo, about_albedo = albedo_of_white(
                 terrain, self.scene, config.render.ground_albedo, gain
             )
-        views = views_of_splats(self.scene)
+        views = views()
         diffuse = None if views is None else views.diffuse
         bad = badly_placed(self.scene, views)
         leave_out = not backdrop.count and replaces_sky(config)
@@ -102,9 +107,9 @@ class WetScene:
             paged = PagedScene(
                 backdrop, gain, diffuse, bad, leave_out, *where, config.render, rasterizer_of,
             )  # fmt: skip
-        normals = None
-        if found is not None and paged is None:
-            normals = [a[backdrop.kept] for a in kept_normals(scene, found, own_sky)]
+        if normals is not None:
+            normals = [a[backdrop.kept] for a in normals()]
+        trim()  # what the light was found in
         self.capture = DrawnCapture(
             backdrop, self.scene, present, present.state(config.at(0.0)), bad, config.render.merge,
             terrain, paged, rasterizer_of, normals,

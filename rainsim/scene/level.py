@@ -6,10 +6,14 @@ left over: a camera that a solver misplaced gets next to none. Upright walls are
 The splats then need to tell only how far below the cameras the ground lies.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
+
+from rainsim.jit import get_num_threads
+from rainsim.numerics.blocks import of_each
 
 FEWEST = 4  # cameras that tell how they were held
 # Standard deviations of the roll of a hand-held camera, of the mean pitch of the views, and of the
@@ -126,7 +130,7 @@ class GroundBelow:
     def __init__(self, points, weights, eyes, up):
         flat = np.linalg.svd(up[None])[2][1:].T
         self._place, self._weights = points @ flat, weights
-        self._away, nearest = cKDTree(eyes @ flat).query(self._place)
+        self._away, nearest = cKDTree(eyes @ flat).query(self._place, workers=get_num_threads())
         along, usual = eyes @ up, np.median(eyes @ up)
         height = points @ up
         # The ground goes up and down with the path, or it is level and the cameras do.
@@ -157,7 +161,7 @@ class GroundBelow:
             low, high = usual / LIKELY, usual * LIKELY
         tried = low * STEP ** np.arange(int(np.log(high / low) / np.log(STEP)) + 1)
         path, level = (
-            max((self.support(depth, height) for height in tried), key=lambda found: found.sigmas)
+            max(of_each(partial(self.support, depth), tried), key=lambda found: found.sigmas)
             for depth in self.depths
         )
         return level if level.sigmas > CLEARLY * max(path.sigmas, 0.0) else path

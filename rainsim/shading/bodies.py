@@ -15,6 +15,7 @@ from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
 from rainsim.numerics.windows import widened
 from rainsim.rain.moving_surfaces import begun
+from rainsim.terrain import filters
 
 LOWEST, TALLEST = 0.25, 2.8  # m over the ground, of a body's upper side
 STANDS = 0.3  # m over the ground, of the lower side of what stands on it, as a car does
@@ -81,19 +82,19 @@ def body_map(terrain):
     things = (height > LOWEST) & (height < TALLEST)
     if not things.any():
         return NO_BODIES
-    share = ndimage.gaussian_filter(things.astype(np.float32), MEAN_OVER / spacing)
+    share = filters.gaussian_filter(things.astype(np.float32), MEAN_OVER / spacing)
     share = np.maximum(share, np.float32(1e-3))
-    mean = ndimage.gaussian_filter(np.where(things, height, 0), MEAN_OVER / spacing) / share
+    mean = filters.gaussian_filter(np.where(things, height, 0), MEAN_OVER / spacing) / share
     uneven = np.where(things, (height - mean) ** 2, 0).astype(np.float32)
-    weight = ndimage.gaussian_filter(things.astype(np.float32), ROUGH_OVER / spacing)
-    uneven = ndimage.gaussian_filter(uneven, ROUGH_OVER / spacing)
+    weight = filters.gaussian_filter(things.astype(np.float32), ROUGH_OVER / spacing)
+    uneven = filters.gaussian_filter(uneven, ROUGH_OVER / spacing)
     smooth = things & (under < STANDS) & (uneven < ROUGHEST**2 * weight)
     labels, count = ndimage.label(smooth)
     level = np.hypot(*np.gradient(height, spacing)) < STEEPEST
     area = np.bincount(labels.ravel(), level.ravel(), count + 1) * terrain.grid.cell_area
     tall = ndimage.mean(height, labels, np.arange(count + 1)) > TALL
     smooth &= ((area >= FEWEST) & ((area >= LARGE) | ~tall))[labels]
-    rim = ndimage.distance_transform_edt(~smooth) <= RIM / spacing
+    rim = filters.distance(~smooth, RIM / spacing) <= RIM / spacing
     found = with_sides(height, under, things, things & rim, spacing)
     if found.size and len(terrain.tops):
         found[..., 1] |= np.where((terrain.tops.index >= 0) & (found[..., 1] > 0), TOP, 0).astype(
@@ -110,13 +111,13 @@ def with_sides(height, underside, things, bodies, spacing):
     if not bodies.any():
         return NO_BODIES
     sigma, size = FADING / spacing, 2 * round(AROUND / spacing) + 1
-    share = ndimage.gaussian_filter(bodies.astype(np.float32), sigma)
-    share /= np.maximum(ndimage.gaussian_filter(things.astype(np.float32), sigma), 1e-3)
+    share = filters.gaussian_filter(bodies.astype(np.float32), sigma)
+    share /= np.maximum(filters.gaussian_filter(things.astype(np.float32), sigma), 1e-3)
     share = np.where(things & (share > 0.02), np.minimum(share, 1), 0)
     there = share > 0
-    share = ndimage.maximum_filter(share, size)
-    high = ndimage.maximum_filter(np.where(there, height, 0), size)
-    low = ndimage.minimum_filter(np.where(there, underside, np.inf), size)
+    share = filters.maximum_filter(share, size)
+    high = filters.maximum_filter(np.where(there, height, 0), size)
+    low = filters.minimum_filter(np.where(there, underside, np.inf), size)
     found = np.zeros((*height.shape, 3), np.uint8)
     found[..., 0] = np.clip(np.rint(np.where(high > 0, low, 0) / STEP), 0, HEIGHTS)
     found[..., 1] = np.clip(np.rint(high / STEP), 0, HEIGHTS)
@@ -142,7 +143,7 @@ def stamped(bodies, terrain, time):
         steps = np.zeros([s.stop - s.start for s in part], np.uint8)
         height = np.nan_to_num((shadow.top - terrain.bed[shadow.part]) / STEP)
         steps[inner] = np.where(height < TALLEST / STEP, np.clip(height, 0, HEIGHTS), 0)
-        steps = ndimage.maximum_filter(steps, 2 * reach + 1)
+        steps = filters.maximum_filter(steps, 2 * reach + 1)
         for channel, value in enumerate((0, steps, MOST)):
             np.copyto(found[(*part, channel)], np.uint8(value), where=steps > 0)
         parts.append(part)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rainsim.constants import HALF, ONE, QUARTER, ZERO
-from rainsim.jit import TAKERS, cpu_kernel, none_taken, prange, serial_kernel, take_next
+from rainsim.jit import TAKERS, cpu_kernel, none_taken, prange, take_next
 from rainsim.numerics.approximations import exp_minus
 from rainsim.splatting.lanes import MAX_ALPHA, TRANSMITTANCE_STOP, prefetch
 from rainsim.splatting.prepared import LANES
@@ -95,9 +95,11 @@ def weigh_tiles(record, entry, start, width, part, step, weight_out):
             tile = take_next(taken)
 
 
-@serial_kernel
-def add_weights(entry, chunks, lane, order, weight, light_out):
-    """Add the weights of entries to the sums of their splats, in the order of the entries.
+@cpu_kernel
+def add_weights(entry, chunks, lane, order, weight, factor, threads, light_out):
+    """Sum the weights of each splat's entries, in their order, times a factor.
+
+    Each of the threads looks at all entries and adds those of its own records.
 
     entry : uint64 array. The sorted lists of `weigh_tiles`.
     chunks : int64 array. Those in sight, see `Rasterizer`.
@@ -106,9 +108,15 @@ def add_weights(entry, chunks, lane, order, weight, light_out):
     weight : float32 array (entries, 4)
     light_out : float64 array (n, 4)
     """
-    for k in range(len(weight)):
-        if max(weight[k, 0], weight[k, 2], weight[k, 3]) > ZERO:  # many are hidden
+    for n in prange(len(light_out)):
+        light_out[n] = 0
+    records = len(chunks) * LANES
+    for thread in prange(threads):
+        first, stop = thread * records // threads, (thread + 1) * records // threads
+        for k in range(len(weight)):
             o = np.int64(entry[k] & RECORD_MASK)
-            n = order[chunks[o // LANES] * LANES + lane[o]]
-            for part in range(4):
-                light_out[n, part] += weight[k, part]
+            # Many are hidden.
+            if first <= o < stop and max(weight[k, 0], weight[k, 2], weight[k, 3]) > ZERO:
+                n = order[chunks[o // LANES] * LANES + lane[o]]
+                for part in range(4):
+                    light_out[n, part] += factor * weight[k, part]

@@ -72,15 +72,17 @@ class SkyColors:
         Fog, or a room of one grey, has it below the horizon, too. And under a grey sky nothing is
         brighter than the sky: else it is a pale wall.
         """
-        alike = below = sky = brighter = 0
-        for view, exposure in zip(views, self.exposure, strict=True):
+
+        def counted(view, exposure):
             direction = directions(view)[::2, ::2]
             more = self._more(view.light[::2, ::2], direction, exposure)
             near, high = np.abs(more).max(axis=-1) < SAME, direction[..., 2]
-            below += np.count_nonzero(high < 2 * LOWEST)
-            alike += np.count_nonzero(near & (high < 2 * LOWEST))
-            sky += np.count_nonzero(near & (high > -LOWEST))
-            brighter += np.count_nonzero((more.min(axis=-1) > SAME) & (high > -LOWEST))
+            land, above = high < 2 * LOWEST, high > -LOWEST
+            parts = land, near & land, near & above, (more.min(axis=-1) > SAME) & above
+            return [np.count_nonzero(part) for part in parts]
+
+        counts = of_each(counted, views, self.exposure)
+        below, alike, sky, brighter = np.sum(counts, axis=0)
         if alike > LIKE_LAND * max(below, 1):
             return True
         return _is_grey(self.color.reshape(-1, 3)) and brighter > BRIGHT_LAND * max(sky, 1)
@@ -96,20 +98,15 @@ class SkyColors:
     def parts(self, views):
         """Return what the pixels of each `DepthView` show, a list of int8 (height, width).
 
-        1: the sky; -1: something else; 0: either.
+        1: the sky; -1: something else; 0: either. And the masks of pixels in which no surface is
+        sought: under a blue sky whatever has its colour: panes mirror it, haze before it shows it.
         """
         if self.color is None:
-            return [np.full(view.depth.shape, -1, np.int8) for view in views]
-        return of_each(self._parts, views, self.exposure)
-
-    def no_surface(self, views, parts):
-        """Return the masks of pixels in which no surface is sought; `parts` are those of `parts`.
-
-        Under a blue sky whatever has its colour: panes mirror it, and haze before it shows it.
-        """
-        if self.color is None or _is_grey(self.color.reshape(-1, 3)):
-            return [part > 0 for part in parts]
-        return [near for near, _, _ in of_each(self._alike, views, self.exposure)]
+            parts = [np.full(view.depth.shape, -1, np.int8) for view in views]
+            return parts, [part > 0 for part in parts]
+        parts, near = zip(*of_each(self._parts, views, self.exposure), strict=True)
+        grey = _is_grey(self.color.reshape(-1, 3))
+        return parts, [part > 0 for part in parts] if grey else near
 
     def _alike(self, view, exposure):
         """Return which pixels have the sky's colour, by how much more, and their sine of height."""
@@ -119,7 +116,7 @@ class SkyColors:
         return ndimage.median_filter(near, 3), more, direction[..., 2]
 
     def _parts(self, view, exposure):
-        """Return what the pixels of a view show, region by region, see `parts`.
+        """Return what the pixels of a view show, region by region, and which have the sky's colour.
 
         A region of the sky has the sky's colour, or is a cloud, and goes on past the edge of the
         picture where it is highest. A pane, a pale roof or a white house ends below that.
@@ -137,7 +134,7 @@ class SkyColors:
         good |= gap & (ndimage.mean(off, label, number) < NEAR)
         shown = np.concatenate([[False], good])[label]
         either = (sky | ndimage.binary_dilation(shown, iterations=RIM)) & ~shown
-        return np.where(shown, 1, np.where(either, 0, -1)).astype(np.int8)
+        return np.where(shown, 1, np.where(either, 0, -1)).astype(np.int8), near
 
     def at(self, direction):
         """Return the logarithm of the sky's colour in directions (..., 3)."""
@@ -170,16 +167,17 @@ def seen_sky(views, shown):
     are masks of the views' pixels of the sky.
     """
     rows, columns = SEEN
-    count = np.zeros((2, rows * columns))
-    for view, sky in zip(views, shown, strict=True):
+
+    def counted(view, sky):
         direction = directions(view)
         row = np.arcsin(np.clip(direction[..., 2], -1, 1)) / (np.pi / 2) * rows
         column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * columns
         above = row >= 0
         row = np.minimum(row[above].astype(int), rows - 1)
         place = row * columns + np.floor(column[above]).astype(int) % columns
-        count[0] += np.bincount(place, minlength=rows * columns)
-        count[1] += np.bincount(place, sky[above], minlength=rows * columns)
+        return [np.bincount(place, some, rows * columns) for some in (None, sky[above])]
+
+    count = np.sum(of_each(counted, views, shown), axis=0)
     return ((count[0] == 0) | (count[1] > LEAST_SEEN * count[0])).reshape(SEEN)
 
 

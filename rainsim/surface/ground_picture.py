@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from rainsim.numerics.blocks import of_each
+
 SIDE = 384  # cells of the longer side
 # Of the cameras' height over the ground, by which what they see of it may be off it, at least and
 # at most: between them SCATTERS times the deviation of what is seen. And of a depth, by which the
@@ -47,7 +49,7 @@ def ground_picture(views):
     pixels = sum(view.depth.size for view in views)
     step = max(1, round((pixels / MOST_SAMPLES) ** 0.5))
     reach = _reach(views, step)
-    samples = [ground_of(view, step, reach) for view in views]
+    samples = of_each(lambda view: ground_of(view, step, reach), views)
     where = np.concatenate([one[0] for one in samples]) if samples else np.zeros((0, 2))
     if len(where) < FEWEST:
         return None
@@ -108,11 +110,14 @@ def _rays(view, step):
 
 def _reach(views, step):
     """Return how far off its level [m] the ground is seen."""
-    height, found = float(np.median([view.eye[2] for view in views])) if views else 0.0, []
-    for view in views:
+    height = float(np.median([view.eye[2] for view in views])) if views else 0.0
+
+    def near(view):
         ray, depth, _ = _rays(view, 2 * step)
         off = view.eye[2] + depth * ray[:, 2]
-        found.append(off[np.abs(off) < MOST_OFF * height])
+        return off[np.abs(off) < MOST_OFF * height]
+
+    found = of_each(near, views)
     # A quarter of a normal distribution lies within .32 deviations; crowns are half of some views.
     off = np.percentile(np.abs(np.concatenate(found)), 25) if any(map(len, found)) else 0.0
     return float(np.clip(SCATTERS * off / 0.32, LEAST_OFF * height, MOST_OFF * height))

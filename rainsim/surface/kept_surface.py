@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from rainsim.constants import SH_0
 from rainsim.io import cache
 from rainsim.jit import get_num_threads
-from rainsim.numerics.blocks import in_blocks
+from rainsim.numerics.blocks import beside, in_blocks
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 from rainsim.raster import Rasterizer, prepare
 from rainsim.splatting.prepared import morton_order
@@ -113,21 +113,23 @@ def find_surface(scene, step=lambda: None):
     views = depth_views(scene, cameras, rasterizer)
     step()
     colors = SkyColors(views)
-    parts = colors.parts(views)
-    leave_out_sky(views, colors.no_surface(views, parts))
+    parts, no_surface = colors.parts(views)
+    leave_out_sky(views, no_surface)
     step()
-    surface = fused(views, middle, half)
+    surface = beside(fused, views, middle, half)
+    pictures = list(zip(views, cameras, parts, strict=True))
+    every = -(-len(pictures) // MOST_PICTURES)
+    if colors.color is not None:
+        weighed = _weighed(scene, rasterizer, pictures, every)
+    surface = surface()
     step()
     near = _nearest(surface.position, position, good)
     sky = np.zeros(len(position), bool)
     casters, aloft, bared = good, np.full(len(position), not scene.cameras), None
     if colors.color is not None:
-        pictures = list(zip(views, cameras, parts, strict=True))
+        *weighed, seen = weighed
         alone = _alone(near, surface)
-        every = -(-len(pictures) // MOST_PICTURES)
-        sky, aloft, seen = _sky_splats(
-            scene, rasterizer, pictures, every, colors, position, alone, middle
-        )
+        sky, aloft = _sky_splats(scene, views, colors, position, alone, middle, *weighed)
         sky &= good
         if sky.any():
             bare, bared = unveiled(scene, sky, seen, pictures[::every])
@@ -259,24 +261,19 @@ def splat_normals(scene, found, sky):
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
 
 
-def _sky_splats(scene, rasterizer, pictures, every, colors, position, alone, middle):
-    """Return which splats are sky, bool (n,), and which may be: `aloft` of `Found`.
+def _weighed(scene, rasterizer, pictures, every):
+    """Return the light of splats in parts of pictures, see `Rasterizer.weigh`, array (n, 4) [px].
 
-    And the light that each gives to `every` so many pictures, (n,) [px].
-
-    The light that a splat gives to pixels that show the sky, and to those that show something else,
-    tells it. Its own colour tells little: splats of a trained sky lie before one another, and some
-    are white, some yellow and some dark, so that together they are blue. What is darker than the
-    sky and narrower than a pixel may be a twig that hardly darkens the pixel. Pixels beside the sky
-    show either: they count against a splat, but not against one as bright as the sky. What the sky
-    hides in the pictures, of any colour, would come to light once the sky is left out: needles.
+    And how many cameras see each on something else than the sky, and how many it hides it from;
+    and the light (n,) [px] that each gives to `every` so many pictures.
     """
-    frame, light, asked = scene.ground_frame, np.zeros((len(position), 4)), np.zeros(len(position))
-    lit, veiled = np.zeros((2, len(position)), np.int16)  # cameras
+    count = len(scene.splats)
+    light, asked, cameras = np.zeros((count, 4)), np.zeros(count), np.zeros((2, count), np.int16)
+    lit, veiled = cameras
     for n, (view, camera, part) in enumerate(pictures):
         height, width = view.depth.shape
         camera = camera.resized(width, height)
-        one = rasterizer.weigh(camera, NEAR / frame.meters_per_unit, part, EVERY)
+        one = rasterizer.weigh(camera, NEAR / scene.ground_frame.meters_per_unit, part, EVERY)
 
         def add(some, n=n, one=one):
             on_land, on_sky, on_rim, before = one[some].T
@@ -286,9 +283,24 @@ def _sky_splats(scene, rasterizer, pictures, every, colors, position, alone, mid
             if n % every == 0:
                 asked[some] += on_land + on_sky + on_rim
 
-        in_blocks(add, len(position))
-    land, sky, beside, before_sky = light.T
-    seen = land + sky + beside
+        in_blocks(add, count)
+    return light, lit, veiled, asked
+
+
+def _sky_splats(scene, views, colors, position, alone, middle, light, lit, veiled):
+    """Return which splats are sky, bool (n,), and which may be: `aloft` of `Found`.
+
+    The light that a splat gives to pixels that show the sky, and to those that show something else,
+    tells it, see `_weighed`. Its own colour tells little: splats of a trained sky lie before one
+    another, and some are white, some yellow and some dark, so that together they are blue. What is
+    darker than the sky and narrower than a pixel may be a twig that hardly darkens the pixel.
+    Pixels beside the sky show either: they count against a splat, but not against one as bright as
+    the sky. What the sky hides in the pictures, of any colour, would come to light once the sky is
+    left out: needles.
+    """
+    frame = scene.ground_frame
+    land, sky, rim, before_sky = light.T
+    seen = land + sky + rim
     with np.errstate(invalid="ignore"):  # 0 / 0 of those that no camera sees, and absurd splats
         direction = _directions(position, middle)
         color = linear(scene.splats.sh[:, 0] * np.float32(SH_0) + np.float32(0.5))
@@ -296,15 +308,15 @@ def _sky_splats(scene, rasterizer, pictures, every, colors, position, alone, mid
         bright = color @ LUMINANCE_WEIGHTS > BRIGHT * behind
         off = colors.off(color, direction)
         across = np.sort(scene.splats.scale, axis=1)[:, 1] * np.float32(frame.meters_per_unit)
-        wide = across * pictures[0][0].lens[0] > np.linalg.norm(position - middle, axis=1)
+        wide = across * views[0].lens[0] > np.linalg.norm(position - middle, axis=1)
         alike = alone & (off < ABOUT_SKY)
         found = (sky / seen > MOSTLY) & (bright | alike | wide)
         likely = (sky / (land + sky) > LIKELY) & (bright | alike)
-    high, hidden = direction[:, 2], before_sky > HIDDEN * (land + beside)
+    high, hidden = direction[:, 2], before_sky > HIDDEN * (land + rim)
     needle = hidden & (sky < VEILED * before_sky) & (before_sky > 4 * SPECK)
     needle |= (veiled > OFTENER * lit) & (veiled >= LEAST)
     hidden &= alike | wide | (off < SAME)
     unseen = (before_sky + seen == 0) & alone & (off < SAME)
     aloft = (land <= sky) & (before_sky > 0)
     found |= ((likely | hidden | unseen) & (high > 0)) | (needle & (high > BELOW))
-    return found, aloft, asked
+    return found, aloft

@@ -118,9 +118,12 @@ def depth_views(scene, cameras, rasterizer):
 
 def leave_out_sky(views, sky):
     """Write into the views that pixels of the sky, bool (height, width) each, show no surface."""
-    for view, shown in zip(views, sky, strict=True):
+
+    def leave_out(view, shown):
         view.depth[shown] = np.inf
         ndimage.minimum_filter(view.depth, 3, output=view.least)
+
+    of_each(leave_out, views, sky)
 
 
 def _plainness(light):

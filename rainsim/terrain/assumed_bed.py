@@ -10,7 +10,10 @@ from scipy import ndimage
 from skimage.morphology import reconstruction
 
 from rainsim import raster
+from rainsim.numerics.blocks import beside, of_each
+from rainsim.scene.cameras import resize_to
 from rainsim.terrain import bed as bedding
+from rainsim.terrain import filters
 from rainsim.terrain.pictures import seen_points
 from rainsim.terrain.types import INFERRED, UNKNOWN, Grid
 
@@ -30,6 +33,7 @@ NEAR, LAYER, WENT = 1.0, 2.5, 0.5
 BESIDE = 0.3  # m about things, that is near them
 STEP, WIDE = 4.0, 0.5  # cameras' heights: longest step from camera to camera; half a path's width
 PICTURES, WIDTH = 48, 240  # of a capture, that are laid on the ground, at most; px
+DRAWN = 8  # pictures that are drawn before they are laid
 FARTHEST = 20.0  # cameras' heights to the ground that they show
 PATCH = 0.1  # m, cells of the ground's colours
 SPREADS, LEAST_SEEN = (0.0, 0.15, 0.5, 1.5, 4.0), 0.02  # m about seen cells; share of them
@@ -96,7 +100,7 @@ class PoorGround:
     """
 
     def __init__(self, scene, grid, scatter, eyes, followed):
-        self._scene, self._grid, self._colors, self._scatter = scene, grid, None, scatter
+        self._scatter = scatter
         self._height = height = max(float(np.median(eyes[:, 2])), 0.1)
         self._reach = min(height, CARRIED)
         if height > CARRIED:  # from the air no camera was where things stand
@@ -106,6 +110,14 @@ class PoorGround:
             self.level = level_below(self._eyes)
             self.level = _between(*_sampled(self.level, grid))
         self.layer = min(LAYER * scatter, WENT * self._reach)
+
+        def colors():
+            size = np.array(grid.shape[::-1]) * grid.spacing
+            shape = tuple(int(n) for n in np.ceil(size / PATCH).astype(int)[::-1])
+            patches = Grid(shape, grid.origin, PATCH)
+            return patches, *filled(*laid_colors(scene, patches, self.level, self.layer, height))
+
+        self._colors = beside(colors)  # while the surface is found
 
     @classmethod
     def of(cls, scene, grid, above, position, cover, followed):
@@ -123,13 +135,7 @@ class PoorGround:
 
     def bed(self, grid):
         """Return what `bed_of` does, of a part of the map."""
-        if self._colors is None:
-            size = np.array(self._grid.shape[::-1]) * self._grid.spacing
-            shape = tuple(int(n) for n in np.ceil(size / PATCH).astype(int)[::-1])
-            patches = Grid(shape, self._grid.origin, PATCH)
-            colors = laid_colors(self._scene, patches, self.level, self.layer, self._height)
-            self._colors = patches, *filled(*colors)
-        return bed_of(*self._colors, grid, self.level)
+        return bed_of(*self._colors(), grid, self.level)
 
     def cover(self, places, grid, bed, ceiling):
         """Return the bed, lower along what stands on it, and `cover` over it, all heights [m].
@@ -195,12 +201,10 @@ def laid_colors(scene, grid, level, layer, height):
     layer : float [m]. How far from the bed the splats lie that show it.
     height : float [m]. Of the cameras.
     """
-    frame, total = scene.ground_frame, np.zeros((grid.shape[0] * grid.shape[1], 4))
-    drawn = raster.Rasterizer(raster.prepare(scene.splats))
-    for camera in scene.cameras[:: max(1, -(-len(scene.cameras) // PICTURES))]:
-        width = min(WIDTH, camera.width)
-        camera = camera.resized(width, max(1, round(camera.height * width / camera.width)))
-        layers = drawn.draw(camera, 0.05 / frame.meters_per_unit)
+    frame, total = scene.ground_frame, np.zeros((4, grid.shape[0] * grid.shape[1]))
+    near, drawn = 0.05 / frame.meters_per_unit, raster.Rasterizer(raster.prepare(scene.splats))
+
+    def laid(camera, layers):
         view = frame.camera_in_ground(camera)
         place, distance = seen_points(view, layers.depth * frame.meters_per_unit)
         with np.errstate(all="ignore"):
@@ -215,12 +219,19 @@ def laid_colors(scene, grid, level, layer, height):
         row, column, inside = grid.cells(hit[ground][:, 0], hit[ground][:, 1])
         cell = (row * grid.shape[1] + column)[inside]
         weight = 1 / np.maximum(far[ground][inside], 0.3) ** 2
-        values = np.column_stack([layers.color[ground][inside], np.ones(len(cell))])
-        for k in range(4):
-            total[:, k] += np.bincount(cell, weight * values[:, k], minlength=len(total))
-    seen = total[:, 3] > 0
-    total[seen, :3] /= total[seen, 3:]
-    return total[:, :3].reshape(*grid.shape, 3).astype(np.float32), seen.reshape(grid.shape)
+        return cell, np.stack([*(weight * layers.color[ground][inside].T), weight])
+
+    cameras = scene.cameras[:: max(1, -(-len(scene.cameras) // PICTURES))]
+    for first in range(0, len(cameras), DRAWN):
+        some = cameras[first : first + DRAWN]
+        some = [resize_to(camera, min(WIDTH, camera.width)) for camera in some]
+        parts = of_each(laid, some, [drawn.draw(camera, near) for camera in some])
+        cell, values = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+        for channel, value in zip(total, values, strict=True):
+            channel += np.bincount(cell, value, len(channel))
+    seen = total[3] > 0
+    color = np.where(seen, total[:3] / np.where(seen, total[3], 1), 0).astype(np.float32)
+    return np.ascontiguousarray(color.T).reshape(*grid.shape, 3), seen.reshape(grid.shape)
 
 
 def filled(color, seen):
@@ -314,7 +325,8 @@ def path_of(eyes, grid):
                 went[row[inside], column[inside]] = True
     if not went.any():
         return went
-    return ndimage.distance_transform_edt(~went) * grid.spacing < WIDE * height
+    most = WIDE * height
+    return filters.distance(~went, most / grid.spacing) * grid.spacing < most
 
 
 def cover(places, grid, layer, ceiling, went):
@@ -360,7 +372,7 @@ def foot_drop(stands, spacing):
     """Return how much lower [m] the bed is along what `stands` (ny, nx), bool, on it, float32."""
     if not stands.any():
         return np.zeros(stands.shape, np.float32)
-    away = ndimage.distance_transform_edt(~stands).astype(np.float32) * np.float32(spacing)
+    away = filters.distance(~stands, FOOT_WIDTH / spacing).astype(np.float32) * np.float32(spacing)
     return np.float32(FOOT_DROP) * np.clip(1 - away / np.float32(FOOT_WIDTH), 0, 1)
 
 

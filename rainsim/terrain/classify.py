@@ -73,9 +73,10 @@ def _moss(bed, plants, unknown, spacing):
     hard = ~plants
     if not hard.any():
         return np.zeros_like(plants)
-    away = ndimage.distance_transform_edt(plants) * spacing
+    most = MOSS_WIDTH / spacing
+    away = filters.distance(plants, most) * spacing
     # Closing by distances: a disc, and quick at any radius.
-    closed = ndimage.distance_transform_edt(away <= MOSS_WIDTH / 2) * spacing > MOSS_WIDTH / 2
+    closed = filters.distance(away <= MOSS_WIDTH / 2, most / 2) * spacing > MOSS_WIDTH / 2
     level, near = _mean_near(bed, hard, spacing)
     lawn, _ = _mean_near(bed, plants & ~unknown & (away > MOSS_WIDTH / 2), spacing)
     rim = (away <= MOSS_WIDTH) & (lawn - level > 2 * MOSS_HEIGHT)

@@ -54,6 +54,23 @@ def median_filter(values):
     return out
 
 
+def distance(mask, most):
+    """Return how far off [cells] the nearest cell is at which `mask` (ny, nx) is false, float64.
+
+    Exact up to `most`; what is farther is farther than that here, too.
+    """
+    out, reach = np.empty(mask.shape), int(most) + 1
+
+    def work(part):
+        start = max(part.start - reach, 0)
+        near = mask[start : part.stop + reach]
+        away = np.inf if near.all() else ndimage.distance_transform_edt(near)
+        out[part] = np.broadcast_to(away, near.shape)[part.start - start :][: len(out[part])]
+
+    in_blocks(work, len(mask), _share(len(mask)))
+    return out
+
+
 def _along_both(filter_1d, values, width, **options):
     out = np.empty(values.shape, values.dtype)
     if values.size < LEAST_CELLS:

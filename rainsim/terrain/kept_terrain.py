@@ -1,6 +1,7 @@
 """The terrain of a scene from the results of an earlier run, or extracted and kept for the next."""
 
 from rainsim.io import cache
+from rainsim.io.allocator import trim
 from rainsim.terrain.types import NO_TOPS, Grid, Terrain, Tops
 
 KIND = "terrain"
@@ -18,7 +19,9 @@ def kept_terrain(scene, config, mask=None, tell=None):
     def extracted():
         from rainsim.terrain.extract import extract_terrain  # not needed for a kept terrain
 
-        return _packed(extract_terrain(scene, config, mask, tell))
+        packed = _packed(extract_terrain(scene, config, mask, tell))
+        trim()  # half of the memory that surface and ground were found in
+        return packed
 
     return _unpacked(*cache.kept(KIND, extracted, *_inputs(scene, config, mask)))
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from rainsim.numerics import blocks
 from rainsim.numerics.blocks import in_blocks, stable_order
 from rainsim.scene.types import GroundFrame
 from rainsim.splatting.prepared import morton_order
@@ -35,6 +36,17 @@ def test_blocks_handle_floating_point_errors_as_their_caller_does():
         in_blocks(work, 30, 8)
     with np.errstate(invalid="raise"), pytest.raises(FloatingPointError):
         in_blocks(work, 30, 8)
+
+
+@pytest.mark.parametrize("side_by_side", [False, True])
+def test_what_is_found_beside_is_found_once_and_its_error_raised(side_by_side, monkeypatch):
+    calls = []
+    monkeypatch.setattr(blocks, "may_run_beside", lambda: side_by_side)
+    monkeypatch.setattr(blocks, "get_num_threads", lambda: 2)
+    found = blocks.beside(lambda value: calls.append(value) or len(calls), 7)
+    assert found() == found() == 1 and calls == [7]
+    with pytest.raises(ZeroDivisionError):
+        blocks.beside(lambda: 1 // 0)()
 
 
 def test_splats_are_taken_by_mask_by_places_and_by_slice():
@@ -78,6 +90,16 @@ def test_filters_are_those_of_scipy_to_the_byte(rng, shape, kind):
         assert ours.dtype == theirs.dtype and ours.tobytes() == theirs.tobytes()
     turned = values[::-1]
     np.testing.assert_array_equal(filters.median_filter(turned), ndimage.median_filter(turned, 3))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.2])
+def test_distances_are_exact_as_far_as_they_are_asked_for(rng, share):
+    mask = rng.random((320, 90)) >= share
+    mask[:100], mask[200] = True, True
+    found = filters.distance(mask, 9.5)
+    exact = ndimage.distance_transform_edt(mask) if share else np.full(mask.shape, np.inf)
+    near = exact <= 9.5
+    assert found[near].tobytes() == exact[near].tobytes() and (found[~near] > 9.5).all()
 
 
 def test_points_go_to_the_ground_frame_block_by_block(rng):

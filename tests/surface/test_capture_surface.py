@@ -109,11 +109,23 @@ def blue_over_wall(height=60, width=80):
     return light
 
 
+def test_small_matrices_are_made_diagonal():
+    rng, axes = np.random.default_rng(2), np.full((3, 3), np.nan)
+    parts = rng.standard_normal((20, 3, 3)) * 10.0 ** -np.arange(20)[:, None, None]
+    for full in [*(parts @ parts.transpose(0, 2, 1)), np.zeros((3, 3)), np.eye(3), np.ones((3, 3))]:
+        values = full.copy()
+        fuse.diagonalize(values, axes)
+        scale = np.abs(full).max()
+        assert np.allclose(axes @ np.diag(np.diag(values)) @ axes.T, full, 0, 1e-13 * scale)
+        assert np.allclose(axes.T @ axes, np.eye(3), 0, 1e-13)
+        assert np.allclose(np.sort(np.diag(values)), np.linalg.eigvalsh(full), 0, 1e-13 * scale)
+
+
 def test_the_sky_is_found_by_its_colour_and_a_wall_is_not_sky():
     pictures = [view_of(blue_over_wall(), 0.45 + 0.02 * k) for k in range(4)]
     colors = captured_sky.SkyColors(pictures)
     assert colors.color is not None
-    shown = [part > 0 for part in colors.parts(pictures)]
+    shown = [part > 0 for part in colors.parts(pictures)[0]]
     assert shown[0][2:28].mean() > 0.95 and shown[0][32:].mean() == 0
     seen = captured_sky.seen_sky(pictures, shown)
     assert seen[22:].any() and not seen[2:5, :2].any()  # low and straight ahead is the wall
@@ -126,7 +138,7 @@ def test_one_sky_is_found_in_pictures_of_different_exposure():
     ]
     colors = captured_sky.SkyColors(pictures)
     np.testing.assert_allclose(colors.exposure, exposure, atol=0.05)
-    for part in colors.parts(pictures):
+    for part in colors.parts(pictures)[0]:
         assert (part[3:26] == 1).all() and (part[34:] == -1).all()
 
 
@@ -138,7 +150,7 @@ def test_regions_of_a_picture_are_judged_whole():
     light[40:46, 40:46] = light[0, 0]  # a gap
     others = [view_of(blue_over_wall(), 0.43 + 0.02 * k) for k in range(4)]
     pictures = [view_of(light, 0.45), *others]
-    part = captured_sky.SkyColors(pictures).parts(pictures)[0]
+    part = captured_sky.SkyColors(pictures).parts(pictures)[0][0]
     assert (part[9:13, 22:38] == 1).all() and (part[19:31, 59:66] == -1).all()
     assert (part[41:45, 21:25] == 0).all() and (part[42:44, 42:44] == 1).all()
 
@@ -170,7 +182,7 @@ def test_a_grey_front_below_a_brighter_sky_is_no_sky():
     assert captured_sky.SkyColors([view_of(front, 0.3)] * 4).color is not None
     front[:8, :50] = 0.9
     pictures = [view_of(front, 0.3)] * 4
-    parts = captured_sky.SkyColors(pictures).parts(pictures)
+    parts = captured_sky.SkyColors(pictures).parts(pictures)[0]
     assert (parts[0][12:] < 1).all()
 
 
@@ -179,10 +191,10 @@ def test_a_white_wall_that_goes_on_below_the_horizon_is_no_sky():
     light[30:] = 0.05
     light[:30, 15:65] = 0.8
     cloud = [view_of(light, 0.1)] * 4
-    assert (captured_sky.SkyColors(cloud).parts(cloud)[0][5:25, 25:55] == 1).all()
+    assert (captured_sky.SkyColors(cloud).parts(cloud)[0][0][5:25, 25:55] == 1).all()
     light[30:52, 15:65] = 0.8
     wall = [view_of(light, 0.1)] * 4
-    part = captured_sky.SkyColors(wall).parts(wall)[0]
+    part = captured_sky.SkyColors(wall).parts(wall)[0][0]
     assert (part[5:50, 25:55] < 1).all()
 
 
