@@ -268,7 +268,7 @@ def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids
     those for which there is no room.
     """
     place = to_camera(view.rotation, view.eye, impact.x, impact.y, impact.z)
-    if not _ball_in_view(place, _REACH, view.planes):
+    if not _ball_in_view(place, _REACH, view.planes) or stands_on_nothing(*place, view.lens, scene):
         return
     before = listed[0]
     pixel = place[2] / max(view.lens[line_raster.FX], view.lens[line_raster.FY])
@@ -285,6 +285,21 @@ def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids
     if listed[0] > _ROOM - _MOST_LINES:
         draw_lines(lines, 0, listed[0], 1, view, scene, picture)
         listed[0] = 0
+
+
+@jit.inlined_function
+def stands_on_nothing(x, y, z, lens, scene):
+    """Tell whether the picture shows nothing but sky at a place of the camera frame [m].
+
+    The map goes on where nothing was captured: no drop is seen to land there.
+    """
+    if not z > _NEAREST:
+        return False
+    column = math.floor(lens[line_raster.FX] * x / z + lens[line_raster.CX])
+    row = math.floor(lens[line_raster.FY] * y / z + lens[line_raster.CY])
+    if not (0 <= column < scene.width and 0 <= row < scene.height):
+        return False
+    return not scene.columns[int(column) * scene.height + int(row)] < math.inf
 
 
 @jit.lean_function

@@ -16,7 +16,7 @@ from rainsim.cuda.warp import GROUP, GROUPS, THREADS, claim_row
 from rainsim.particles import splash
 from rainsim.particles.crown import FINE_PIXEL, LONGEST_JET, crown_life
 from rainsim.particles.line_raster import CX, FX, FY
-from rainsim.particles.splash_pass import MARGIN, WaterDepth, list_splash
+from rainsim.particles.splash_pass import MARGIN, WaterDepth, list_splash, stands_on_nothing
 from rainsim.particles.streaks import draw_lines
 from rainsim.rain.heightfield import GROUND
 
@@ -32,8 +32,12 @@ def seen_at(x, y, z, sent, scene):
     deep = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
     if not deep > NEAREST:
         return -1.0
+    right = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
+    down = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
+    if stands_on_nothing(right, down, deep, lens, scene):
+        return -1.0
     for axis in range(2):
-        across = rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z
+        across = right if axis == 0 else down
         focal, centre = np.float64(lens[FX + axis]), np.float64(lens[CX + axis])
         count = scene.width if axis == 0 else scene.height
         if focal * across + centre * deep <= -focal * MARGIN:
