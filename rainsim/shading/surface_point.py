@@ -105,8 +105,9 @@ def seen_surface(turn, view, row, column, normal, depth, plane_depth, dry, size,
         u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
         layer = layer_at(ground, u, v)
         above, stands = point.z - bed_at(ground, u, v), (ZERO, FAR_AWAY)
-        if layer > ZERO and above < LAYER_END * layer and z < ZERO:
-            stands = what_stands(turn, view, row, column, (x, y, z), dry, size, ground)
+        if layer > ZERO and above < LAYER_END * ground.thickest_layer and z < ZERO:
+            sure, thing, around = what_stands(turn, view, row, column, (x, y, z), dry, size, ground)
+            layer, stands = max(layer, around), (sure, thing)
         point, d = on_bed(point, e, d, x, y, z, layer, stands, ground)
         cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
     return x * inv, y * inv, z * inv, d, cosine, point
@@ -130,6 +131,8 @@ def closeness(dry, row, column, reach, size):
 @lean_function
 def what_stands(turn, view, row, column, ray, dry, size, ground):
     """Return how surely what the region of a pixel shows stands on poor ground, and its depth [m].
+
+    And the layer there [m]: a streak of haze before open ground is none of the things beside it.
 
     Splats of the ground are sheets that end with the layer: over them the picture shows what lies
     behind. Of a wall it shows the same depth there. Neither a splat's height nor its normal tells,
@@ -163,7 +166,7 @@ def what_stands(turn, view, row, column, ray, dry, size, ground):
     share = max(share / np.float32(len(OVER) - 1), np.float32(1e-3))
     thing = near / share
     sure = smoothstep(BEFORE, BEHIND, share) * (ONE - smoothstep(SAME, OTHER, shown / thing))
-    return sure, thing
+    return sure, thing, layer
 
 
 @inlined_function

@@ -268,8 +268,8 @@ def what_stands(over, odd=1.0, down=33):
 
 
 def test_what_goes_on_over_the_layer_stands_and_a_sheet_that_ends_there_does_not():
-    share, way = what_stands(1.0)
-    assert share > 0.8 and way == pytest.approx(4)
+    share, way, layer = what_stands(1.0)
+    assert share > 0.8 and way == pytest.approx(4) and layer == LAYER
     for over in (3.0, np.inf, 0.5):  # the last hangs before the ground
         assert what_stands(over)[0] == 0
     assert what_stands(0.5, down=38)[0] > 0.8  # the foot of a wall, that seems to lie behind it
