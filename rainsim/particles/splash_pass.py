@@ -265,11 +265,12 @@ def column_in_view(size_class, i, j, start, stop, lowest, highest, field, view):
 
 
 @jit.lean_function
-def seen_at(x, y, z, view):
+def seen_at(x, y, z, view, scene):
     """Tell whether a splash at a place may be in view, and how wide [m] a pixel is there."""
     place = to_camera(view.rotation, view.eye, x, y, z)
     pixel = place[2] / max(view.lens[line_raster.FX], view.lens[line_raster.FY])
-    return _ball_in_view(place, _REACH, view.planes), pixel
+    seen = _ball_in_view(place, _REACH, view.planes)
+    return seen and not stands_on_nothing(*place, view.lens, scene), pixel
 
 
 @jit.lean_function
@@ -279,7 +280,7 @@ def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids
     `position_out` and `ids_out` take the impacts that have lines; `seen_out[0]` counts them, also
     those for which there is no room.
     """
-    seen, pixel = seen_at(impact.x, impact.y, impact.z, view)
+    seen, pixel = seen_at(impact.x, impact.y, impact.z, view, scene)
     if not seen:
         return
     before = listed[0]
@@ -296,6 +297,21 @@ def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids
     if listed[0] > _ROOM - _MOST_LINES:
         draw_lines(lines, 0, listed[0], 1, view, scene, picture)
         listed[0] = 0
+
+
+@jit.inlined_function
+def stands_on_nothing(x, y, z, lens, scene):
+    """Tell whether the picture shows nothing but sky at a place of the camera frame [m].
+
+    The map goes on where nothing was captured: no drop is seen to land there.
+    """
+    if not z > _NEAREST:
+        return False
+    column = math.floor(lens[line_raster.FX] * x / z + lens[line_raster.CX])
+    row = math.floor(lens[line_raster.FY] * y / z + lens[line_raster.CY])
+    if not (0 <= column < scene.width and 0 <= row < scene.height):
+        return False
+    return not scene.columns[int(column) * scene.height + int(row)] < math.inf
 
 
 @jit.lean_function

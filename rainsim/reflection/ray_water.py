@@ -14,6 +14,7 @@ SPECK, AROUND = np.float32(0.03), 4  # m above water, pixels around: less is noi
 # m of water that begin to close over rough ground, and that hide it wholly; chosen by eye on a
 # captured patio.
 COVERING_DEPTHS = np.array([0.4e-3, 2.2e-3], np.float32)
+NOTHING = np.float32(np.inf)  # m, depth of pixels that show nothing or the sky
 LEAST_DIP = np.float32(-0.01)  # rays flatter than this meet water in the haze, if at all
 LEAST_COVERAGE = np.float32(0.004)  # a smaller share does not change an 8-bit picture
 CLOSE_ENOUGH = np.float32(5e-5)  # m of height between two steps towards the surface
@@ -93,7 +94,9 @@ def aim(depth, view, highest, left, b, n, s):
     for i in range(n):
         a = column_slope(view, left + i)
         x, y, z = m00 * a + m01 * b + m02, m10 * a + m11 * b + m12, m20 * a + m21 * b + m22
-        down = (z <= LEAST_DIP) & (up + s[DEPTH + i] * z <= highest + SPECK)
+        # Where the picture shows nothing, the map goes on; a puddle there would hang in the air.
+        down = (z <= LEAST_DIP) & (s[DEPTH + i] < NOTHING)
+        down &= up + s[DEPTH + i] * z <= highest + SPECK
         z = z if down else -ONE
         s[RAY_X + i], s[RAY_Y + i], s[RAY_Z + i] = x, y, z
         s[WAY + i] = (highest - up) / z if down else -ONE

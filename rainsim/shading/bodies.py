@@ -23,6 +23,7 @@ ROUGHEST = 0.01  # m, rms of a body's upper side about its mean over some centim
 MEAN_OVER, ROUGH_OVER = 0.03, 0.06  # m, deviations of those means
 FEWEST, STEEPEST = 0.05, 0.5  # m2 of an upper side that slopes by less: haze in the air has none
 TALL, LARGE = 1.7, 1.5  # m, m2: what is higher and smaller is a trunk
+LARGEST = 15.0  # m2, of what stands there on poorly known ground: a van; steps are larger
 RIM = 0.22  # m, of an upper side: there it is steep
 FADING = 0.12  # m, deviation of the edge between a body and what it is one with
 AROUND = 0.08  # m beside a body's cells in which its sides show
@@ -89,6 +90,9 @@ def body_map(terrain):
     weight = filters.gaussian_filter(things.astype(np.float32), ROUGH_OVER / spacing)
     uneven = filters.gaussian_filter(uneven, ROUGH_OVER / spacing)
     smooth = things & (under < STANDS) & (uneven < ROUGHEST**2 * weight)
+    if terrain.layer.size:  # where heights scatter, steps and walls have even patches by chance
+        whole, _ = ndimage.label(things)
+        smooth &= (np.bincount(whole.ravel()) * terrain.grid.cell_area < LARGEST)[whole]
     labels, count = ndimage.label(smooth)
     level = np.hypot(*np.gradient(height, spacing)) < STEEPEST
     area = np.bincount(labels.ravel(), level.ravel(), count + 1) * terrain.grid.cell_area

@@ -22,6 +22,7 @@ LEANS = np.float32(0.1)  # the same below which a surface counts as upright
 # not; up to the third what is level is ground, from the fourth on nothing is.
 FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
 LAYER_END = np.float32(2)  # the same over the thickness of a layer of splats about a poor bed
+BELOW_EYE = np.float32(0.8)  # share of the eye's height, at which no ground shows, where that fades
 NO_LAYER = np.empty((0, 0), np.float32)  # of a bed that is known
 HAZE = np.float32(0.3)  # alpha below which splats seen from above are none of the ground
 STEP, STEPS = np.float32(0.15), 40  # m, and how many, in which a ray to the bed looks for walls
@@ -29,8 +30,9 @@ WALL_SHARE = np.float32(0.15)  # of the depth by which a wall's plane may differ
 # Where poor ground's splats and what stands on it mix, pictures tell the two apart: so many layers
 # over the bed. Ratios of a place's depth to the depth there, up to which nothing stands and from
 # which a thing does; and of the depth shown to that of the thing, up to which both are one and from
-# which the thing hangs before the ground. By eye: depths of such captures are off by half.
-OVER = np.float32(2), np.float32(2.5), np.float32(3)
+# which the thing hangs before the ground, unless it comes down to the first of the heights. By eye:
+# depths of such captures are off by half.
+OVER = np.float32(1), np.float32(2), np.float32(2.5), np.float32(3)
 BEFORE, BEHIND = np.float32(0.4), np.float32(1.2)
 SAME, OTHER = np.float32(1.1), np.float32(1.5)
 REGION = np.float32(0.015)  # of the focal length: half the radius over which depths are averaged
@@ -103,8 +105,9 @@ def seen_surface(turn, view, row, column, normal, depth, plane_depth, dry, size,
         u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
         layer = layer_at(ground, u, v)
         above, stands = point.z - bed_at(ground, u, v), (ZERO, FAR_AWAY)
-        if layer > ZERO and above < LAYER_END * layer and z < ZERO:
-            stands = what_stands(turn, view, row, column, (x, y, z), dry, size, ground)
+        if layer > ZERO and above < LAYER_END * ground.thickest_layer and z < ZERO:
+            sure, thing, around = what_stands(turn, view, row, column, (x, y, z), dry, size, ground)
+            layer, stands = max(layer, around), (sure, thing)
         point, d = on_bed(point, e, d, x, y, z, layer, stands, ground)
         cosine = -(point.nx * x + point.ny * y + point.nz * z) * inv
     return x * inv, y * inv, z * inv, d, cosine, point
@@ -129,6 +132,8 @@ def closeness(dry, row, column, reach, size):
 def what_stands(turn, view, row, column, ray, dry, size, ground):
     """Return how surely what the region of a pixel shows stands on poor ground, and its depth [m].
 
+    And the layer there [m]: a streak of haze before open ground is none of the things beside it.
+
     Splats of the ground are sheets that end with the layer: over them the picture shows what lies
     behind. Of a wall it shows the same depth there. Neither a splat's height nor its normal tells,
     nor the depth of one pixel.
@@ -140,9 +145,11 @@ def what_stands(turn, view, row, column, ray, dry, size, ground):
     shown = ONE / max(closeness(dry, row, column, reach, size), np.float32(1e-6))
     x, y, z = eye[0] + shown * ray[0], eye[1] + shown * ray[1], eye[2] + shown * ray[2]
     u, v = map_place(x, y, ground.origin, ground.spacing)
-    layer, height = abs(layer_at(ground, u, v)), z - bed_at(ground, u, v)
+    height = z - bed_at(ground, u, v)
     # What seems to lie below the bed lies where the ray meets that.
     near = shown - min(height, ZERO) / ray[2]
+    u, v = map_place(eye[0] + near * ray[0], eye[1] + near * ray[1], ground.origin, ground.spacing)
+    layer = abs(layer_at(ground, u, v))
     share = ZERO
     for k in range(len(OVER)):
         up = max(OVER[k] * layer - max(height, ZERO), ZERO)
@@ -151,11 +158,15 @@ def what_stands(turn, view, row, column, ray, dry, size, ground):
         a = (column_slope(view, column) * near + up * turn[6]) / ahead
         b = (row_slope(view, row) * near + up * turn[7]) / ahead
         over = int(view.cy + view.fy * b), int(view.cx + view.fx * a)
-        share += ahead * closeness(dry, over[0], over[1], reach, size)
-    share = max(share / np.float32(len(OVER)), np.float32(1e-3))
+        close = ahead * closeness(dry, over[0], over[1], reach, size)
+        if k > 0:
+            share += close
+        elif close > ONE:
+            shown = min(shown, near / close)  # the foot of a wall may seem to lie far behind it
+    share = max(share / np.float32(len(OVER) - 1), np.float32(1e-3))
     thing = near / share
     sure = smoothstep(BEFORE, BEHIND, share) * (ONE - smoothstep(SAME, OTHER, shown / thing))
-    return sure, thing
+    return sure, thing, layer
 
 
 @inlined_function
@@ -269,7 +280,8 @@ def on_bed(point, depth, drawn, x, y, z, layer, stands, ground):
     bed = bed_at(ground, u, v)
     share = ZERO
     if layer > ZERO:
-        share = ONE - smoothstep(layer, LAYER_END * layer, point.z - bed)
+        end = min(LAYER_END * layer, eye_z - bed)
+        share = ONE - smoothstep(min(layer, BELOW_EYE * end), end, point.z - bed)
         share *= ONE - sure
     turned_up = share
     if point.z < bed:  # nothing lies below the ground, whatever stands there

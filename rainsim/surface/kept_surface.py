@@ -39,7 +39,7 @@ ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
 STOPS, LARGEST = 0.3, 0.3  # share of light that a solid splat stops; its deviation [m], at most
 FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
 AHEAD = 0.9  # cosine to a plane's normal from which on what is off it is before it
-LOST = 0.5  # m from every place, beyond which a splat shows no surface; at twice that surely
+LOST = 0.5  # m from every place, beyond which a splat shows no surface
 
 
 class Found(NamedTuple):
@@ -220,6 +220,10 @@ def kept_normals(scene, found, sky):
     return arrays["normal"], arrays["share"]
 
 
+def _unit(vectors):
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.float32(1e-6))
+
+
 def splat_normals(scene, found, sky):
     """Return normals of the surface at a scene's splats (n, 3), and how sure they are (n,).
 
@@ -244,17 +248,14 @@ def splat_normals(scene, found, sky):
         weight = np.exp(-0.5 * ((away - away[:, :1]) / size[:, None]) ** 2) * surface.flat[near]
         total = np.einsum("ij,ijk->ik", weight, surface.normal[near])
         length = np.linalg.norm(total, axis=1)
-        normal[which] = total / np.maximum(length, 1e-6)[:, None]
-        # Places that face different ways, and splats far from any, tell less.
+        # Places that face different ways tell less. Haze far from every place lies as it happens
+        # to: one splat would be wet beside a dry one. It faces the cameras, upright.
         sure = length / np.maximum(weight.sum(axis=1), 1e-6) * weight.sum(axis=1) / count
-        share[which] = np.clip(2 * sure, 0, 1) * np.clip(2 - away[:, 0] / REACH, 0, 1)
-        # Haze far from every place: each splat lies as it happens to, so that one would be wet
-        # beside a dry one. It faces the cameras, upright.
-        lost = np.flatnonzero(away[:, 0] > LOST)
-        inwards = (found.middle - position[which[lost]]) * np.float32([1, 1, 0])
-        length = np.linalg.norm(inwards, axis=1, keepdims=True)
-        normal[which[lost]] = inwards / np.maximum(length, np.float32(1e-6))
-        share[which[lost]] = np.clip(away[lost, 0] / LOST - 1, 0, 1)
+        lost = np.clip(away[:, :1] / REACH - 1, 0, 1)
+        near = np.clip(2 * sure[:, None], 0, 1) * (1 - lost)
+        inwards = (found.middle - position[which]) * np.float32([1, 1, 0])
+        mean = near * _unit(total) + lost * _unit(inwards)
+        normal[which], share[which] = _unit(mean), (near + lost)[:, 0]
 
     in_blocks(work, len(good), 1 << 14)
     normal[sky], share[sky] = (0, 0, -1), 1

@@ -33,8 +33,11 @@ class Unveiled(NamedTuple):
     def of(self, splats):
         """Return the capture's splats with these colours, the same from all sides."""
         sh = splats.sh.copy()
-        sh[self.which] *= 1 - self.share[:, :, None]
-        sh[self.which, 0] += self.share * (self.color - GREY) / np.float32(SH_0)
+        # What is brighter than white made up for a dark veil, or was hardly seen: it is no lamp.
+        beyond = sh[self.which, 0].max(axis=1, keepdims=True) * np.float32(SH_0) > 1 - GREY
+        share = np.where(beyond, np.float32(1), self.share)
+        sh[self.which] *= 1 - share[:, :, None]
+        sh[self.which, 0] += share * (np.minimum(self.color, 1) - GREY) / np.float32(SH_0)
         return replace(splats, sh=sh)
 
 

@@ -28,8 +28,8 @@ ALONG = 5.0, 2.5
 FEWEST, SLOW = 6, 0.5  # cameras of a path; share of their rise that may differ from one to the next
 AT_ONCE = 8192  # places, for memory
 # How far from the bed splats lie that show it, in times their scatter: near things, and elsewhere;
-# where cameras went, in their heights.
-NEAR, LAYER, WENT = 1.0, 2.5, 0.5
+# in heights of the cameras: at most, and where they went, for nothing but haze hangs there.
+NEAR, LAYER, MOST, WENT = 1.0, 2.5, 0.5, 1.0
 BESIDE = 0.3  # m about things, that is near them
 STEP, WIDE = 4.0, 0.5  # cameras' heights: longest step from camera to camera; half a path's width
 PICTURES, WIDTH = 48, 240  # of a capture, that are laid on the ground, at most; px
@@ -109,7 +109,7 @@ class PoorGround:
             self._eyes = eyes[np.abs(eyes[:, 2] - height) < WINDOW * height]  # others are misplaced
             self.level = level_below(self._eyes)
             self.level = _between(*_sampled(self.level, grid))
-        self.layer = min(LAYER * scatter, WENT * self._reach)
+        self.layer = min(LAYER * scatter, MOST * self._reach)
 
         def colors():
             size = np.array(grid.shape[::-1]) * grid.spacing
@@ -362,10 +362,9 @@ def layer_map(stands, went, spacing, scatter, height):
     """
     width = BESIDE / spacing
     near = np.clip(4 * bedding.blur(stands.astype(np.float32), width), 0, 1)
-    free = np.clip(2 * bedding.blur(went.astype(np.float32), width) - 0.5, 0, 1)
-    layer = scatter * (LAYER + near * (NEAR - LAYER))
-    layer = layer + free * np.maximum(WENT * height - layer, 0)
-    return np.minimum(layer, WENT * height).astype(np.float32)
+    free = np.clip(4 * bedding.blur(went.astype(np.float32), width) - 3, 0, 1)
+    layer = np.minimum(scatter * (LAYER + near * (NEAR - LAYER)), MOST * height)
+    return (layer + free * (WENT * height - layer)).astype(np.float32)
 
 
 def foot_drop(stands, spacing):

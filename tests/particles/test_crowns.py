@@ -108,7 +108,7 @@ def camera(size=160):
 def drawn(surfaces, time=1.0, film=WET_FILM, rate=50, exposure=1 / 60):
     view = camera()
     alpha = np.full((view.height, view.width), np.nan, np.float32)
-    depth = np.full_like(alpha, np.inf)
+    depth = np.full_like(alpha, 50)
     water = np.zeros(surfaces.shape, np.float32)
     field = RainField(RainSpectrum(rate), seed=1)
     draw_splashes(field, surfaces, view, time, exposure, water, film, depth, alpha)
@@ -142,7 +142,7 @@ def test_drips_splash_beside_the_rain_and_are_known_by_their_ids():
     dry = RainField(RainSpectrum(0), seed=1)
     water = np.zeros(ground.shape, np.float32)
     alpha = np.full((view.height, view.width), np.nan, np.float32)
-    depth = np.full_like(alpha, np.inf)
+    depth = np.full_like(alpha, 50)
     where = (dry, ground, view, drip.time[0] + 2e-3, 2e-3, water, WET_FILM, depth)
     draw_splashes(*where, alpha, more=drip)
     assert alpha.max() > 0.1
@@ -158,7 +158,7 @@ def test_splashes_that_are_listed_are_those_that_are_drawn():
     """More of them than a list has room for at first, each once, each where the picture has one."""
     field, ground, view = RainField(RainSpectrum(80.0), seed=1), flat_surfaces(4, 4, 0.05), camera()
     alpha = np.full((view.height, view.width), np.nan, np.float32)
-    depth = np.full_like(alpha, np.inf)
+    depth = np.full_like(alpha, 50)
     where = (field, ground, view, 1.0, 1 / 60, np.zeros(ground.shape, np.float32), WET_FILM, depth)
     draw_splashes(*where, alpha)
     position, ids = seen_splashes(*where)
@@ -170,3 +170,6 @@ def test_splashes_that_are_listed_are_those_that_are_drawn():
     inside = (column > 0) & (row > 0) & (column < 159) & (row < 159)
     near = np.max([alpha[(row + j)[inside], (column + i)[inside]] for j, i in NEIGHBOURS], axis=0)
     assert inside.sum() > 200 and (near > 0).mean() > 0.9
+    depth[:, :80] = np.inf  # nothing was captured there
+    assert np.isin(ids[inside & (column >= 80)], seen_splashes(*where)[1]).all()
+    assert not np.isin(ids[inside & (column < 80)], seen_splashes(*where)[1]).any()

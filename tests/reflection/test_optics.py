@@ -330,6 +330,9 @@ def test_a_camera_at_or_under_the_water_sees_none_and_nothing_breaks(above):
     n = count.sum()
     assert np.isfinite(coverage).all() and n == (coverage > 0).sum()
     assert (n > 0) == (above > 0)
+    nothing = np.full_like(depth, np.inf), view, water_map, level, rows, cover
+    ray_water.meet_water(*nothing, np.empty_like(hit), np.empty_like(hit), empty := count + 1)
+    assert not empty.any()  # no water hangs where nothing was captured
     pixel, record = np.full(n, -1, np.int32), np.full((n, RECORD), np.nan, np.float32)
     water_shading.list_water(
         hit, coverage, np.cumsum(count) - count, rows, view, water_map, DRY_TOPS, pixel, record

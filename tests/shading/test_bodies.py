@@ -9,7 +9,7 @@ from factories import look, off_ground
 from rainsim.actors.footprint import Shadow
 from rainsim.shading import bodies, environment, walls, wetting
 from rainsim.shading.fresnel import fresnel
-from rainsim.shading.surface_point import GroundMaps, SurfacePoint
+from rainsim.shading.surface_point import NO_LAYER, GroundMaps, SurfacePoint
 from rainsim.shading.wetting import SkyMaps
 from rainsim.terrain.types import NO_TOPS, Grid
 
@@ -26,6 +26,7 @@ def terrain_of(height, underside=None, tops=NO_TOPS):
     bed = np.zeros((CELLS, CELLS), F4)
     return SimpleNamespace(
         grid=Grid(bed.shape, (0.0, 0.0), SPACING), bed=bed, top=height.astype(F4), tops=tops,
+        layer=NO_LAYER,
         underside=(np.zeros_like(bed) if underside is None else underside.astype(F4)),
     )  # fmt: skip
 
@@ -47,6 +48,14 @@ def test_a_box_is_a_body_up_to_its_height_and_beside_its_cells():
     assert share(found, 1.8, 1.8, 0.4) == share(found, 1.16, 1.8, 0.4) == 1
     assert share(found, 1.8, 1.8, 0.8) == 1 and share(found, 1.8, 1.8, 1.0) == 0
     assert share(found, 1.0, 1.8, 0.4) == 0
+
+
+def test_patches_of_steps_on_poorly_known_ground_are_no_bodies(monkeypatch):
+    poor = terrain_of(standing(0.8))
+    poor.layer = poor.bed + 0.5
+    assert bodies.body_map(poor).size
+    monkeypatch.setattr(bodies, "LARGEST", 1.0)  # m2; the box has 1.44
+    assert bodies.body_map(poor).size == 0 < bodies.body_map(terrain_of(standing(0.8))).size
 
 
 @pytest.mark.parametrize("height", [0.1, 3.0])

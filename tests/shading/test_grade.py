@@ -248,13 +248,14 @@ def test_a_ray_to_poor_ground_ends_at_a_wall_that_stands_before_it():
     assert seen(behind.y + 0.3) == behind
 
 
-def what_stands(over, odd=1.0):
+def what_stands(over, odd=1.0, down=33):
     """Tell what stands in a picture of something 4 m off that shows `over` times that over it.
 
+    What is over it comes down to row `down`; the place is in row 40, a layer of ground ends in 35.
     Of one pixel, that which is asked for, the depth is `odd` times as large.
     """
     depth = np.full((60, 20), 4 / UNIT, F4)
-    depth[:33] *= F4(over)
+    depth[:down] *= F4(over)
     depth[40, 10] *= F4(odd)
     level = F4([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # looks along y
     blank = np.ones((60, 20), F4)
@@ -267,10 +268,11 @@ def what_stands(over, odd=1.0):
 
 
 def test_what_goes_on_over_the_layer_stands_and_a_sheet_that_ends_there_does_not():
-    share, way = what_stands(1.0)
-    assert share > 0.8 and way == pytest.approx(4)
+    share, way, layer = what_stands(1.0)
+    assert share > 0.8 and way == pytest.approx(4) and layer == LAYER
     for over in (3.0, np.inf, 0.5):  # the last hangs before the ground
         assert what_stands(over)[0] == 0
+    assert what_stands(0.5, down=38)[0] > 0.8  # the foot of a wall, that seems to lie behind it
     for odd in (0.4, 2.5):  # the depth of one pixel decides nothing
         assert what_stands(1.0, odd)[0] == pytest.approx(share, abs=0.25)
 

@@ -180,6 +180,13 @@ def test_a_wall_is_wet_evenly_but_for_soft_paths_longer_than_wide():
         assert np.abs(np.diff(around)).max() < 0.08
     steep = [damp(0.3, 0.7, 1.0, -np.sqrt(1 - z * z), 0.0, z) for z in np.arange(-0.95, 0.95, 0.01)]
     assert np.abs(np.diff(steep)).max() < 0.04
+    # After long rain, too: what hardly faces the drops has no edge to what they miss.
+    for nx in (-1, 1):
+        long = [
+            damp(0.3, 0.7, 1.0, nx * np.sqrt(1 - z * z), 0.0, z, 50.0)
+            for z in np.arange(-0.95, 0.95, 0.01)
+        ]
+        assert np.abs(np.diff(long)).max() < 0.1
 
 
 def test_noise_of_a_walls_normals_wets_no_patch_in_calm_air():

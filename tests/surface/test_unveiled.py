@@ -1,5 +1,6 @@
 """Splats that the captured sky hides a part of, once it is left out."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -48,6 +49,10 @@ def test_what_a_veil_hid_has_the_colour_of_the_pictures_and_what_lies_before_the
     assert what.share == pytest.approx(1)  # the veil hid more than half
     np.testing.assert_allclose(new.sh[VEILED, 0] * SH_0 + 0.5, SHOWN, atol=1e-5)
     assert not new.sh[VEILED, 1:].any()
+    glaring = splats.sh.copy()
+    glaring[VEILED, 0] = 3  # brighter than white
+    new = what._replace(share=what.share / 5).of(replace(splats, sh=glaring))
+    np.testing.assert_allclose(new.sh[VEILED, 0] * SH_0 + 0.5, SHOWN, atol=1e-5)
 
 
 def test_nothing_is_unveiled_where_nothing_is_left_out():

@@ -110,7 +110,7 @@ def test_where_cameras_went_nothing_stands():
     assert (top[row[-4], 60:340] == 2.5).all() and (low[row[-4], 60:340] == 2.5).all()
     assert not top[row[0]].any()
     layer = assumed_bed.layer_map(top > 0, went, 0.04, 0.15, 1.6)
-    assert layer[row[0], 80] > layer[30, 380] > layer[row[4], 200] > 0
+    assert layer[row[0], 80] > 1.5 > layer[30, 380] > layer[row[4], 200] > 0
     scene = SimpleNamespace(splats=(), cameras=())
     poor = assumed_bed.PoorGround(scene, GRID, 0.15, eyes, lambda x, y: 0 * x)
     top[row[4] - 40, 100:120] = 2.0  # a clump
@@ -150,7 +150,7 @@ def test_poor_ground_gets_an_assumed_bed_and_says_so():
     config = Config.from_preset("moderate").terrain
     poor = extract_terrain(poor_scene(0.2), config)
     assert any("PUDDLES ARE ASSUMED" in note for note in poor.notes)
-    assert poor.layer.shape == poor.bed.shape and 0.3 < poor.layer.max() < 1.2
+    assert poor.layer.shape == poor.bed.shape and 0.3 < np.median(poor.layer) < 1.2
     assert 0.001 < poor.bed.std() < 0.02  # and no captured noise of 20 cm
     assert np.mean(poor.source == INFERRED) > 0.3 and not poor.noise.any()
     good = extract_terrain(poor_scene(0.004), config)

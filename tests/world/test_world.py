@@ -68,6 +68,7 @@ def test_drops_and_splashes_are_those_of_the_pictures(terrain, config, state):
     assert np.abs(ours - drawn).sum() < 0.03 * drawn.sum()  # drips are ours alone
     camera = looking((-1.3, -0.9, 1.0), (0.1, 0.0, 0.1), 160, 120)
     found = falling.falling_at(state, field, surfaces, camera, config.render, 1e-4)
+    depth[:] = 50  # something is seen where they land
     draw_splashes(field, surfaces, camera, state.time, SHUTTER, state.depth, 1e-4, depth, landed)
     threads = found.crowns.copy()
     way = threads[:, 3:6] - threads[:, :3]

@@ -43,11 +43,11 @@ def still_shows(diameter, speed, under, age, pixel):
 
 
 @cuda_kernel
-def list_splashes(impacts, velocity, sent, water, count_out, lines_out):
+def list_splashes(impacts, velocity, sent, scene, water, count_out, lines_out):
     """List the droplets, crowns and jets of listed impacts that splash in view.
 
     impacts : ImpactList
-    sent : ShutterView
+    sent, scene : ShutterView and SceneDepth
     water : WaterDepth. Its film a device array of shape (1,), float64 [m].
     count_out : int32 device array (1,). Raised by the number of lines, also of
         those for which there is no room.
@@ -68,7 +68,7 @@ def list_splashes(impacts, velocity, sent, water, count_out, lines_out):
         n, under, wanted, pixel = begin + thread, water.film[0], False, ZERO
         if n < listed:
             x, y, z = values[n, drops.X], values[n, drops.Y], values[n, drops.Z]
-            wanted, pixel = seen_at(x, y, z, sent)
+            wanted, pixel = seen_at(x, y, z, sent, scene)
         if wanted:
             if labels[n, drops.KIND] == GROUND:
                 under += np.float64(water.ground[labels[n, drops.ROW], labels[n, drops.COLUMN]])
@@ -136,9 +136,9 @@ class Splashes:
         """Queue the listing of the splashes in view; return how many lines they have."""
         self._now.send()  # which blanks the count
         seen, count = self._streaks, self._now["count"]
-        view, there = seen.view, (WaterDepth(water, self._now["film"]), count, self.lines)
-        listed = self.impacts.listed
-        list_splashes[drops.BLOCKS, GROUPS](listed, seen.field.velocity, view, *there)
+        there = WaterDepth(water, self._now["film"]), count, self.lines
+        shown, listed = (seen.view, seen.scene), self.impacts.listed
+        list_splashes[drops.BLOCKS, GROUPS](listed, seen.field.velocity, *shown, *there)
         if seen.drips is not None:
-            seen.drips.gather(seen.surfaces, view, *there)
+            seen.drips.gather(seen.surfaces, *shown, *there)
         return int(self._count.read(count)[0])

@@ -54,7 +54,7 @@ def draw_drips(drips, sent, scene, picture):
 
 
 @cuda_kernel
-def list_drip_splashes(drips, surfaces, sent, water, count_out, lines_out):
+def list_drip_splashes(drips, surfaces, sent, scene, water, count_out, lines_out):
     """List the marks of drips that have landed, as `splash_pass.list_splashes` does."""
     time, exposure, table = sent.time[0], sent.exposure[0], drips.table
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
@@ -66,7 +66,7 @@ def list_drip_splashes(drips, surfaces, sent, water, count_out, lines_out):
             table[n, X], table[n, Y], diameter, table[n, BEGIN], table[n, END],
             table[n, DRIP_WIND_X], table[n, DRIP_WIND_Y],
         )  # fmt: skip
-        seen, pixel = seen_at(x, y, z, sent)
+        seen, pixel = seen_at(x, y, z, sent, scene)
         if not seen:
             continue
         row, column, _ = cell_of(x, y, surfaces)
@@ -92,6 +92,7 @@ class DripList:
         """Queue the drawing into the streaks' picture; see `draw_drips`."""
         draw_drips[BLOCKS, GROUPS](self._there, view, scene, picture)
 
-    def gather(self, surfaces, view, water, count, lines):
+    def gather(self, surfaces, view, scene, water, count, lines):
         """Queue the listing of their splashes; see `list_drip_splashes`."""
-        list_drip_splashes[BLOCKS, GROUPS](self._there, surfaces, view, water, count, lines)
+        drawn = view, scene, water, count, lines
+        list_drip_splashes[BLOCKS, GROUPS](self._there, surfaces, *drawn)

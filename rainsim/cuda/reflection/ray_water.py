@@ -9,6 +9,7 @@ from rainsim.reflection.ray_water import (
     HIDE_LOW,
     LEAST_COVERAGE,
     LEAST_DIP,
+    NOTHING,
     SPECK,
     covered,
     is_speck,
@@ -31,7 +32,7 @@ def meet_water(depth, view, water_map, highest, cover, hit_out, coverage_out):
     coverage_out[row, column] = ZERO
     x, y, z = pixel_ray(view, row, column)
     behind = depth[row, column]
-    if z > LEAST_DIP or view.eye[2] + behind * z > top + SPECK:
+    if z > LEAST_DIP or not behind < NOTHING or view.eye[2] + behind * z > top + SPECK:
         return
     t, u, v = meet_surface(view, water_map, x, y, z, top)
     if not (t > ZERO and u > ONE and v > ONE):
