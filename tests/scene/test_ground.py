@@ -18,7 +18,7 @@ from made_captures import patio, ring, splats_at
 from rainsim.errors import GroundError, InputError, ParameterError
 from rainsim.scene import ground
 from rainsim.scene.cameras import look_at, read_cameras
-from rainsim.scene.ply import read_splats
+from rainsim.scene.formats import read_splats
 from rainsim.scene.types import GroundFrame
 
 

@@ -13,8 +13,8 @@ from pathlib import PurePosixPath
 
 from rainsim.errors import InputError, one_line, shown
 from rainsim.io.files import json_number, require_file
-from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
-from rainsim.scene.formats.extra import decoding, load_extra
+from rainsim.scene.activate import require_believable
+from rainsim.scene.formats.extra import activated, decoding, load_extra
 
 KIND = "SOG"
 META = "meta.json"
@@ -30,8 +30,8 @@ BANDS = {1: 3, 2: 8, 3: 15}  # SH degree -> coefficients beyond the first
 LOG_LIMIT = 27.0  # positions are stored as sign * (exp(|v|) - 1); beyond is past MAX_LENGTH
 
 
-def read_bundle(path, max_broken):
-    """Return the Splats of a bundled SOG file, notes and how many splats were dropped."""
+def read_bundle(path):
+    """Return the Splats of a bundled SOG file, which are usable, and no notes."""
     size = path.stat().st_size
     try:
         with zipfile.ZipFile(path) as archive:
@@ -41,7 +41,7 @@ def read_bundle(path, max_broken):
             def load(name):
                 return _unpack(path, archive, infos.get(root + name), name, size)
 
-            return _kept(path, max_broken, *_read(path, load, size))
+            return *_read(path, load, size), []
     except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError) as error:
         raise InputError(
             f"{path} is not a whole zip file ({type(error).__name__}); {REMEDY}"
@@ -50,9 +50,9 @@ def read_bundle(path, max_broken):
         raise InputError(f"{path} cannot be unpacked ({type(error).__name__}); {REMEDY}") from None
 
 
-def read_folder(path, max_broken):
+def read_folder(path):
     """Return the Splats of an unbundled SOG whose meta.json is `path`; see `read_bundle`."""
-    return _kept(path, max_broken, *read_rows(path))
+    return *read_rows(path), []
 
 
 def read_rows(path):
@@ -66,12 +66,6 @@ def read_rows(path):
         raise InputError(f"{path} is too large for the meta.json of a SOG; check the path")
     size = sum(f.stat().st_size for f in path.parent.glob("*.webp") if f.is_file())
     return _read(path, load, size)
-
-
-def _kept(path, max_broken, splats, good):
-    """Return the usable splats, notes and how many were dropped."""
-    splats, broken = keep_good(path, splats, good, max_broken)
-    return splats, dropped_note(broken, len(splats)), broken
 
 
 # --- the archive ----------------------------------------------------------------------------------
@@ -192,11 +186,7 @@ def _read(path, load, size):
     with decoding(path, KIND):
         from gsply.sog_reader import sogread
 
-        data = sogread(pictures.bundle(checked))
-        rest = data.shN if data.shN is not None and data.shN.shape[1] else None
-        return activate(
-            data.means, data.scales, data.quats, data.opacities.reshape(-1), data.sh0, rest
-        )
+        return activated(sogread(pictures.bundle(checked)))
 
 
 def _parse(path, data):

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
-from rainsim.scene.formats.extra import decoding, load_extra
+from rainsim.scene.activate import require_believable
+from rainsim.scene.formats.extra import activated, decoding, load_extra
 
 KIND = "an SPZ file"
 REMEDY = "it is damaged, export it again"
@@ -39,8 +39,8 @@ DOCUMENTED = RIGHT + UP + 1
 UNSAID = "SPZ does not say its axes: taken for right, up, back (rub)"
 
 
-def read_spz(path, max_broken):
-    """Return the Splats of an SPZ file, notes and how many splats were dropped."""
+def read_spz(path):
+    """Return the Splats of an SPZ file, which are usable, and notes."""
     gzipped, header, packed = _read_head(path)
     _, version, count, degree, bits, flags, _ = header
     if version not in (GZIP_VERSIONS if gzipped else (ZSTD_VERSION,)):
@@ -74,13 +74,9 @@ def read_spz(path, max_broken):
         )
     with decoding(path, KIND), _plain_backend(gsply):
         data = gsply.read_spz(path)
-        rest = data.shN if degree else None
-        if data.means.shape != (count, 3) or (degree and rest.shape[1] != REST[degree]):
+        if data.means.shape != (count, 3) or (degree and data.shN.shape[1] != REST[degree]):
             raise InputError(f"{path} changed while it was read; try again")
-        splats, good = activate(
-            data.means, data.scales, data.quats, data.opacities.reshape(-1), data.sh0, rest
-        )
-    splats, broken = keep_good(path, splats, good, max_broken)
+        splats, good = activated(data)
     bits = (axes or DOCUMENTED) - 1
     splats = mirrored(splats, [bits & RIGHT, not bits & UP, bits & FORWARD])
     notes = [] if axes else [UNSAID]
@@ -88,7 +84,7 @@ def read_spz(path, max_broken):
         notes.append("SPZ says that the capture was trained with Mip-Splatting's screen filter")
     if others:
         notes.append("SPZ extensions beside that of the axes are not read")
-    return splats, [*notes, *dropped_note(broken, len(splats))], broken
+    return splats, good, notes
 
 
 def mirrored(splats, keeps):
