@@ -178,6 +178,11 @@ def tube(points, radius, colour, *, piece=0.025, around=8, sheen=0.0, opacity=0.
     )  # fmt: skip
 
 
+def grid(*along):
+    """Return the coordinates of all places of a grid, by its coordinates along each axis."""
+    return (values.ravel() for values in np.meshgrid(*along))
+
+
 def cells(length, spacing, edge=0.45):
     """Cut `length` [m] into cells, narrower at both ends: centres and widths, (n,) each."""
     inner = max(1, round((length - 2 * edge * spacing) / spacing))

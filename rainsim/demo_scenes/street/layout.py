@@ -56,27 +56,23 @@ class Layout:
         Drains and dips near the piece shape its ground; what is drawn once, such as a cover, is
         only in the piece that holds its x.
         """
-        around = [self._close(values, first, last, MARGIN) for values in (self.drains, self.dips)]
+        drains, dips = (
+            values[(values[:, 0] > first - MARGIN) & (values[:, 0] < last + MARGIN)]
+            for values in (self.drains, self.dips)
+        )
         inside = {
             name: tuple(v for v in getattr(self, name) if first <= v[0] < last)
             for name in ("covers", "cracks")
         }
         return replace(
-            self, ends=(first, last), drains=around[0], dips=around[1], near=(first, last),
+            self, ends=(first, last), drains=drains, dips=dips, near=(first, last),
             stones=round(self.stones * (last - first) / (self.ends[1] - self.ends[0])), **inside,
         )  # fmt: skip
 
-    @staticmethod
-    def _close(values, first, last, margin):
-        return values[(values[:, 0] > first - margin) & (values[:, 0] < last + margin)]
-
     def beside_side_street(self, x, reach):
         """Return whether places x are within `reach` [m] of the middle of a side street."""
-        x = np.asarray(x, np.float64)
-        found = np.zeros(x.shape, bool)
-        for side in self.sides:
-            found |= np.abs(x - side) < reach
-        return found
+        away = np.abs(np.asarray(x)[..., None] - np.array(self.sides))
+        return (away < reach).any(axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
