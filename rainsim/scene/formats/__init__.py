@@ -127,8 +127,7 @@ def sha256_of(path):
     digest = hashlib.sha256()
     for part in source_files(path):
         with open(require_file(part, "a picture of a SOG"), "rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
+            hashlib.file_digest(file, lambda: digest)
     return digest.hexdigest()
 
 

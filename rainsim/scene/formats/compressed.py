@@ -5,6 +5,7 @@ them in 11, 10 or 8 bits; an optional element holds spherical harmonics as bytes
 """
 
 import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
 
 from rainsim.errors import InputError
 from rainsim.scene.activate import REST_COEFFICIENTS
@@ -65,10 +66,7 @@ def _columns(path, tables, name, properties, kind):
             f"{path}: {wrong[0]} is of type {rows.dtype[wrong[0]].name}; in {KIND} it must be "
             f"{np.dtype(kind).name}; {REMEDY}"
         )
-    table = np.empty((len(rows), len(properties)), kind)
-    for column, p in enumerate(properties):
-        table[:, column] = rows[p]
-    return table
+    return structured_to_unstructured(rows[list(properties)])
 
 
 def _chunk_table(path, tables):

@@ -30,7 +30,6 @@ GZIP_VERSIONS, ZSTD_VERSION = (
 MAX_POSITION_BITS = 24
 ANTIALIASED, EXTENDED = 1, 2  # flags
 EXTENSION_LIMIT = 1 << 16  # bytes behind the splats that are not read
-STEP = 1 << 20  # bytes that are unpacked at a time
 
 EXTENSION = struct.Struct("<II")  # type and bytes of its value
 AXES = 0xADBE0003  # type of the extension that names the axes, a uint32
@@ -160,27 +159,18 @@ def _check_gzip(path, packed, sizes):
     It is EXTENSION_LIMIT bytes at most, and nothing may follow the gzip stream. So a small file
     that unpacks to gigabytes is found before it is read.
     """
-    need = PACKED.size + sum(sizes)
-    stream, data, done, behind = zlib.decompressobj(31), packed, 0, b""
+    need, stream = PACKED.size + sum(sizes), zlib.decompressobj(31)
     try:
-        while not stream.eof:
-            piece = stream.decompress(data, STEP)
-            behind += piece[max(need - done, 0) :]
-            done += len(piece)
-            data = stream.unconsumed_tail
-            if done > need + EXTENSION_LIMIT:
-                raise InputError(
-                    f"{path} unpacks to more than the {need} bytes of its splats; {REMEDY}"
-                )
-            if not piece and not data:
-                break
+        data = stream.decompress(packed, need + EXTENSION_LIMIT + 1)
     except zlib.error:
         raise InputError(f"{path} is not whole gzip; {REMEDY}") from None
-    if not stream.eof or done < need:
-        raise InputError(f"{path} ends after {done} of {need} unpacked bytes; {REMEDY}")
+    if len(data) > need + EXTENSION_LIMIT:
+        raise InputError(f"{path} unpacks to more than the {need} bytes of its splats; {REMEDY}")
+    if not stream.eof or len(data) < need:
+        raise InputError(f"{path} ends after {len(data)} of {need} unpacked bytes; {REMEDY}")
     if stream.unused_data:
         raise InputError(f"{path} has {len(stream.unused_data)} bytes behind its end; {REMEDY}")
-    return behind
+    return data[need:]
 
 
 def _check_zstd(path, packed, sizes):
