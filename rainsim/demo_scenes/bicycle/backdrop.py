@@ -3,7 +3,7 @@
 import numpy as np
 
 from rainsim.demo_scenes.bicycle.plants import crown
-from rainsim.demo_scenes.build import discs, grid, join
+from rainsim.demo_scenes.build import discs, grid, join, spiral
 
 SKY_RADIUS = 70.0  # m
 ZENITH, HORIZON = np.array([0.640, 0.710, 0.800]), np.array([0.885, 0.900, 0.910])
@@ -20,11 +20,8 @@ FAR_GREENS = np.array(
 
 def sky_cloud(noise, count=4200, radius=SKY_RADIUS):
     """Return the sky as large splats on a dome, from just below the horizon to the zenith."""
-    k = np.arange(count) + 0.5
-    z = -0.10 + 1.10 * k / count
-    turn = k * np.pi * (3 - np.sqrt(5))  # even in solid angle
-    r = np.sqrt(np.clip(1 - z * z, 0, 1))
-    direction = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+    z = -0.10 + 1.10 * (np.arange(count) + 0.5) / count
+    direction = spiral(z)
     spread = np.clip(z, 0, 1)[:, None] ** 0.6
     colour = HORIZON + spread * (ZENITH - HORIZON)
     plane = direction[:, :2] / (z[:, None] + 0.22)  # cloud sheets crowd towards the horizon

@@ -89,15 +89,13 @@ class LongStreet:
         rng, number = self._rng(2), 0
         first, last = self.layout.ends
         for side in (-1, 1):
-            edge = first
-            for stop in (*self.layout.sides, last + SIDE_FACADE):
+            for edge, stop in self.layout.between((first, last), self.layout.sides, SIDE_FACADE):
                 style = int(rng.integers(0, 8))
-                for x, width in _row_of_houses(edge, stop - SIDE_FACADE, rng):
+                for x, width in _row_of_houses(edge, stop, rng):
                     wall = partial(facades.Wall, (x, side * road.FACADE), (1, 0), (0, -side), WALLS)
                     style = (style + int(rng.integers(1, 4))) % 8
                     yield number, x, wall, width, int(rng.integers(2, 4)), style
                     number += 1
-                edge = stop + SIDE_FACADE
             for street in self.layout.sides:
                 for out in (-1, 1):
                     style = int(rng.integers(0, 8))
