@@ -396,7 +396,8 @@ def scene_from_data(data, splats, where, name=""):
     """Return the Scene of splats and `scene_to_data`'s data; `where` names these in messages."""
     cameras, notes, drains = data.get("cameras"), data.get("notes"), data.get("drains") or []
     if drains:
-        drains = Entry(where, "scene", data).array("drains", (len(drains), 3)).tolist()
+        count = len(drains) if isinstance(drains, list) else 1
+        drains = Entry(where, "scene", data).array("drains", (count, 3)).tolist()
     sun = number_array(data.get("captured_sun"), (3,))
     origin = number_array(data.get("origin"), (3,))
     return Scene(

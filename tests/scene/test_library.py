@@ -172,7 +172,7 @@ def damage_version(folder):
         (damage_not_an_archive, "damaged"),
         (damage_mixed_up, "belong together"),
         (damage_missing, "does not exist"),
-        (damage_drains, "three finite numbers"),
+        (damage_drains, "finite numbers of shape 1 x 3"),
         (damage_version, "version 1"),
     ],
 )
