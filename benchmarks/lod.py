@@ -22,7 +22,6 @@ from benchmarks.lod_whole import row_line
 from benchmarks.suite import load_line, machine, markdown, peak, quiet, resident
 from rainsim import pipeline
 from rainsim.config.settings import Config
-from rainsim.demo_scenes.street import first_view
 from rainsim.lod.cut import cut
 from rainsim.render.renderer import Renderer
 from rainsim.scene.big import open_pages
@@ -139,7 +138,8 @@ def mirrored(splats, frame, x):
 
 def long_street(folder, length):
     """Return the Scene of a street in chunks, with cameras APART from end to end."""
-    first, frame = first_view()
+    street = load_scene("street")
+    first, frame = street.cameras[0], street.ground_frame
     pages, splats, digest, notes = open_pages(folder)
     count = max(2, int((length - 2 * AWAY) / APART))
     cameras = tuple(ahead(frame, first, AWAY + k * APART) for k in range(count))

@@ -132,11 +132,11 @@ def classes():
 
 def formats():
     """Return the table of rainsim's own files, with the version that is written and read."""
-    from rainsim import output_folder
     from rainsim.actors import actor_files
     from rainsim.commands import film
     from rainsim.datasets import card
     from rainsim.io import images, states
+    from rainsim.output_folder.names import VERSION
     from rainsim.render import frame_files
     from rainsim.scene import folder, ground, painted
     from rainsim.sensors import drive
@@ -177,7 +177,7 @@ def formats():
         ("lidar.json", drive.CARD_VERSION, "`lidar`", "sensor, rains, counts of points"),
         (
             "provenance.json, finished.jsonl",
-            output_folder.VERSION,
+            VERSION,
             "all that write to a folder",
             "the record of a run, and which frames or states are finished",
         ),

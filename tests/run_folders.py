@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rainsim.io.journal import Journal
-from rainsim.output_folder import JOURNAL, PROVENANCE, read_record
+from rainsim.output_folder.names import JOURNAL, PROVENANCE, read_record
 
 NOT_COMPARED = (PROVENANCE, JOURNAL)  # they hold times
 FACTS = ("complete", "frames", "ledger", "notes", "files", "fingerprint", "milliseconds")

@@ -32,8 +32,9 @@ def cut_to_scene(job, file, model):
     from rainsim.commands.given import scene_of
     from rainsim.io.fingerprint import hash_of, hash_of_file
     from rainsim.lod.cut import cut
-    from rainsim.output_folder import OURS, Record, input_facts
-    from rainsim.output_folder.names import names_in
+    from rainsim.output_folder.facts import input_facts
+    from rainsim.output_folder.names import OURS, names_in
+    from rainsim.output_folder.record import Record
     from rainsim.scene.cameras import cameras_to_data, load_cameras
     from rainsim.scene.folder import cameras_beside
     from rainsim.scene.formats import splat_blocks, trained_antialiased
@@ -52,9 +53,7 @@ def cut_to_scene(job, file, model):
     record = Record(out, None, {
         "cut": hash_of_file(file), "cameras": hash_of(cameras_to_data(cameras)),
         "options": {name: str(value) for name, value in given.items()},
-    })  # fmt: skip
-    if job.resume:  # one step: it is cut again in the folder of the same cut
-        record.resume(())
+    }, job.resume)  # fmt: skip
     record.begin()
     tell = partial(job.status.progress, STAGE)
     cut(out, blocks, tell=tell, antialiased=trained_antialiased(file))

@@ -259,11 +259,12 @@ def _driven(job, cameras):
 
 def _write(job, plan, layout, optics):
     """Draw and write the data set; return its card."""
-    from rainsim.datasets.export import DataSetFolder, read_card
+    from rainsim.datasets.export import DataSetFolder
     from rainsim.datasets.export import export as write_all
     from rainsim.datasets.shots import Shots
+    from rainsim.io.files import card_in
     from rainsim.io.fingerprint import hash_of, hash_of_array
-    from rainsim.output_folder import scene_content, settings_content
+    from rainsim.output_folder.facts import scene_content, settings_content
     from rainsim.render.memory import memory_notes
     from rainsim.scene.cameras import cameras_to_data
     from rainsim.sensors.optics import Optics
@@ -307,4 +308,4 @@ def _write(job, plan, layout, optics):
         largest = max((shots.drawn_camera(v) for v in plan.views), key=lambda c: c.width * c.height)
         status.notes(memory_notes(scene, largest, terrain.bed.size, MOST_LAYERS))
         write_all(shots, folder, shots.config_of, status.progress)
-    return read_card(job.out)
+    return card_in(folder.card_file)

@@ -93,21 +93,22 @@ def simulate(terrain, **given):
 
 def _write_states(job, ground, source, map_file):
     """Simulate and write the states that are not finished yet; return the record and the ledger."""
-    from rainsim import output_folder
     from rainsim.io.fingerprint import hash_of_file
     from rainsim.io.states import write_state
+    from rainsim.output_folder.facts import host_facts, settings_content, settings_facts
+    from rainsim.output_folder.names import JOURNAL, STATE, STATE_FACTS, read_record
+    from rainsim.output_folder.record import Record
     from rainsim.pipeline import frames_of
     from rainsim.pipeline import simulate as simulate_water
 
     config, status = job.config, job.status
     content = {
-        "settings": output_folder.settings_content(config), "terrain": hash_of_file(map_file),
+        "settings": settings_content(config), "terrain": hash_of_file(map_file),
     }  # fmt: skip
-    origin = output_folder.read_record(source).get("input")
-    facts = output_folder.settings_facts(config, job.preset)
-    record = output_folder.Record(job.out, None, content, **facts, terrain_input=origin)
-    part, kinds = output_folder.STATE, output_folder.STATE_FACTS
-    kept = record.resume(config.indices, part, kinds) if job.resume else {}
+    origin = read_record(source).get("input")
+    facts = settings_facts(config, job.preset)
+    record = Record(job.out, None, content, **facts, terrain_input=origin)
+    kept = record.resume(config.indices, STATE, STATE_FACTS) if job.resume else {}
     ledgers = {index: entry["ledger"] for index, entry in kept.items()}
     if kept:
         status.say(f"{len(kept)} of {len(config.indices)} states are finished and kept")
@@ -116,17 +117,15 @@ def _write_states(job, ground, source, map_file):
         if not record.files:  # now that there is something to write
             _write_simulation(job, record, source, map_file, origin)
         status.notes(state.notes)
-        name = part.format(state.index)
+        name = STATE.format(state.index)
         write_state(job.out / name, state, ground)
         ledgers[state.index] = state.ledger
-        host = output_folder.host_facts()
-        record.journal.add(
-            state.index, [name], ledger=state.ledger, notes=list(state.notes), host=host
-        )
+        facts = {"ledger": state.ledger, "notes": list(state.notes), "host": host_facts()}
+        record.journal.add(state.index, [name], **facts)
         status.progress("simulate frames", len(ledgers), len(config.indices))
     if not record.files:
         _write_simulation(job, record, source, map_file, origin)
-    record.add(output_folder.JOURNAL, *(part.format(index) for index in config.indices))
+    record.add(JOURNAL, *(STATE.format(index) for index in config.indices))
     ledger = ledgers[max(ledgers)]
     record.write(complete=True, ledger=ledger)
     return record, ledger
@@ -188,7 +187,7 @@ def render(states, scene, **given):
         rainsim render states --orbit --width 960 --out frames
     """
     from rainsim.io.files import path_named
-    from rainsim.output_folder import states_content
+    from rainsim.output_folder.facts import states_content
 
     made = read_simulation(states)
     job = FilmJob(given, base=made["config"])
@@ -320,9 +319,12 @@ class FilmJob(Job):
 
     def __init__(self, given, base=None):
         super().__init__(given, base)
-        from rainsim.output_folder import require_empty
+        from rainsim.output_folder.claims import require_empty
 
-        _check_farm(given)
+        if given.get("workers") or given.get("scheduler"):
+            from rainsim.farm import cluster
+
+            cluster.require()
         if self.out is not None:
             shared = given.get("frame_range") is not None
             require_empty(self.out, self.overwrite or self.resume or shared)
@@ -373,7 +375,8 @@ class FilmJob(Job):
         scene, settings, cameras and what this job writes; `sources` are read besides what options
         name.
         """
-        from rainsim import output_folder
+        from rainsim.output_folder.facts import cameras_facts, settings_content, settings_facts
+        from rainsim.output_folder.record import Record
         from rainsim.render.frame_files import FRAME, mean_milliseconds
 
         config, status = self.config, self.status
@@ -384,13 +387,13 @@ class FilmJob(Job):
             content["optics"] = self.optics.facts
         shared = config.frame_range is not None and not self.overwrite
         with self.folder(*sources, shared=shared):
-            facts = output_folder.settings_facts(config, self.preset)
-            content["settings"] = output_folder.settings_content(config)
+            facts = settings_facts(config, self.preset)
+            content["settings"] = settings_content(config)
             sequence = frames(replace(config, frame_range=None) if shared else config)
             if self.optics is not None:
                 facts["optics"] = self.optics.facts
-            facts["cameras"] = output_folder.cameras_facts(sequence.cameras)
-            record = output_folder.Record(self.out, self.scene, content, **facts)
+            facts["cameras"] = cameras_facts(sequence.cameras)
+            record = Record(self.out, self.scene, content, **facts)
             record.facts["stages"] = status.spent  # seconds, as far as stages are over
             run = self.out, record, sequence.cameras, config, self.video
             forecast, given = Forecast(status, self.out), self.given
@@ -414,23 +417,9 @@ class FilmJob(Job):
         self.finish(total, result, more=f"/frames{also} ({status.in_stages()})")
 
 
-def _check_farm(given):
-    """Raise if the options of workers contradict each other or their engine is lacking."""
-    ways = [n for n in ("workers", "scheduler", "frame_range") if given.get(n) is not None]
-    if len(ways) > 1:
-        one, other = (f"--{name.replace('_', '-')}" for name in ways[:2])
-        raise ParameterError(
-            f"{one} and {other} are both given; frames must be shared out in one way; leave one out"
-        )
-    if ways and ways != ["frame_range"]:
-        from rainsim.farm.cluster import require
-
-        require()
-
-
 def _draw_alone(status, sequence, run, resume):
     """Draw the frames that are missing in a folder of this run alone; return all reports."""
-    from rainsim.output_folder import FrameFolder
+    from rainsim.output_folder.frames import FrameFolder
 
     indices = sequence.config.indices
     with FrameFolder(*run, resume) as folder:

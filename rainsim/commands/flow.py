@@ -147,8 +147,9 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
     out = out or options.default_out(bed.stem, "flow")
     from rainsim.io.fingerprint import hash_of_file
     from rainsim.io.rasters import read_raster
-    from rainsim.output_folder import Record, claimed, relative
+    from rainsim.output_folder.claims import claimed, relative
     from rainsim.output_folder.names import read_record
+    from rainsim.output_folder.record import Record
 
     ground = _in_metres(read_raster(bed), given["height_unit"])
     content = {"flow": {k: str(v) for k, v in given.items() if k != "period"},
@@ -158,9 +159,7 @@ def flow(bed, duration, out, overwrite, resume, threads, as_json, quiet, **given
         from rainsim.jit import set_threads
 
         set_threads(threads)
-        record = Record(out, None, content)
-        if resume:
-            record.resume(())
+        record = Record(out, None, content, resume)
         period = _period(given["period"], duration, read_record(out) if resume else {})
         record.facts["period"] = period
         solver, rain, absent = _solver(ground, bed, given)

@@ -76,7 +76,7 @@ class Forecast:
                 self._tell(left, done, total)
 
     def _tell(self, left, done, total):
-        from rainsim.output_folder import relative
+        from rainsim.output_folder.claims import relative
         from rainsim.scene.info import in_bytes
 
         each = self._bytes_of_frames()
@@ -101,9 +101,8 @@ class Forecast:
     def _bytes_of_frames(self):
         """Return what a frame and its layers take on average, by name."""
         from rainsim.io.journal import Journal
-        from rainsim.output_folder import JOURNAL, OURS
+        from rainsim.output_folder.names import JOURNAL, OURS
 
-        # One of its own: that of the record has read what stood there before the run.
         entries = Journal(self._folder, JOURNAL, OURS.fullmatch).entries()
         last = [entries[index] for index in sorted(entries)[-MEASURED:]]
         sizes = dict.fromkeys(("frames", "layers", "exr"), 0.0)

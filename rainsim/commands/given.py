@@ -17,6 +17,8 @@ ONE_OF = (  # options of which one at most may be given, and what they choose
     (CAMERA_WAYS, "the camera"),
     (("known_length", "meters_per_unit"), "the scale"),
     (("known_length", "camera_height"), "the scale"),
+    (("workers", "scheduler", "frame_range"), "who draws which frames"),
+    (("fov", "ortho_height"), "the size of the picture"),
 )
 NEEDS = {  # options that say nothing without another, and what both are about
     "eye": ("look_at", "a camera placed by hand"),

@@ -42,7 +42,7 @@ def heightmap(scene, check, **given):
     """
     from rainsim.compiling.uses import HEIGHTMAP
     from rainsim.config.settings import Config
-    from rainsim.output_folder import Record
+    from rainsim.output_folder.record import Record
     from rainsim.scene.ground import write_ground_frame
     from rainsim.terrain.surface import is_surface
 
@@ -63,9 +63,7 @@ def heightmap(scene, check, **given):
 
         content = _content(scene if surface else None, check, given)
         facts = {"settings": {"terrain": job.config.as_dict()["terrain"]}}
-        record = Record(job.out, loaded, content, **facts)
-        if job.resume:
-            record.resume(())  # one step: it is made again in the folder of the very same map
+        record = Record(job.out, loaded, content, job.resume, **facts)
         terrain = _terrain_of(job, scene, water) if surface else job.extract_terrain(mask, water)
         status.notes(terrain.notes)
         record.begin()

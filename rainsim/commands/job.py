@@ -7,6 +7,7 @@ from rainsim.commands import options
 from rainsim.commands.compile import compiled_beside
 from rainsim.commands.given import cameras_of, check_options, paths_in, scene_of, settings
 from rainsim.commands.status import READING, Status
+from rainsim.errors import counted
 
 NEAR = 0.05  # m from a camera, within which nothing is drawn
 
@@ -70,8 +71,7 @@ class Job:
         self.scene, cameras = scene, len(scene.cameras)
         self.status.progress(READING, 1, 1)
         self.status.say(
-            f"scene {scene.name}: {scene.count:,} splats, {cameras} "
-            f"camera{'' if cameras == 1 else 's'}"
+            f"scene {scene.name}: {scene.count:,} splats, {counted(cameras, 'camera')}"
             + (f", {len(scene.actors)} actors" if scene.actors else "")
         )
         self.status.notes(scene.notes)
@@ -112,7 +112,7 @@ class Job:
         `shared` by processes that each draw a range of the frames.
         """
         from rainsim.jit import set_threads
-        from rainsim.output_folder import claimed
+        from rainsim.output_folder.claims import claimed
 
         sources = [*sources, *paths_in(self.given)]
         with claimed(self.out, self.overwrite, self.resume, sources, shared):
@@ -125,7 +125,7 @@ class Job:
         `text` stands for the result where it is not printed as JSON, by default the folder; `more`
         is said after the folder's name.
         """
-        from rainsim.output_folder import relative
+        from rainsim.output_folder.claims import relative
 
         self.status.say(f"{what} in {relative(self.out)}{more}")
         options.echo({"out": str(self.out), **result}, self.as_json, text or str(self.out))

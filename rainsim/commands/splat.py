@@ -128,8 +128,6 @@ def _check(given):
             )
     if given["ortho_height"] is not None:
         require_positive("--ortho-height", given["ortho_height"], "units")
-        if given["fov"] is not None:
-            raise ParameterError("--fov and --ortho-height are both given; leave one out")
     for name in ("width", "height"):
         if given[name] is not None and not SIDES[0] <= given[name] <= SIDES[1]:
             low, high = SIDES

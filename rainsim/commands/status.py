@@ -113,10 +113,14 @@ class Status:
         if self.quiet:
             return
         with self._lock:
-            for bar in (self._bar, self._compiling and self._compiling.bar):
-                if bar is not None:
-                    bar.clear()
+            for bar in self._bars():
+                bar.clear()
             click.echo(indent + click.style(one_line(text), bold=bold or None), err=True)
+
+    def _bars(self):
+        """Return the bars that are shown."""
+        both = self._bar, self._compiling and self._compiling.bar
+        return [bar for bar in both if bar is not None]
 
     def notes(self, notes):
         """Print notes that were not printed before, as indented lines.
@@ -140,27 +144,21 @@ class Status:
         if self.quiet:
             return
         with self._lock:
-            if self._compiling is not None:
-                self._compiling.beside(stage, done, total)
-            else:
-                self._progress(stage, done, total)
+            if self._stage is None or stage != self._stage.name:
+                self._end_stage()
+                self._stage = StageProgress(stage)
+                self._open(stage, done, total)
+            self._stage.update(done, total)
+            if self._bar is not None:
+                self._bar.update(done - self._bar.n)
+                if self._bar.total != total:  # now it is known
+                    self._bar.total, self._bar.leave = total, total > 1
+                    self._bar.refresh()
+                if done == total:
+                    self._end_stage()
+            elif total > 1 and self._stage.is_late():
+                self._stage.tell()
             self._tick()
-
-    def _progress(self, stage, done, total):
-        if self._stage is None or stage != self._stage.name:
-            self.close()
-            self._stage = StageProgress(stage)
-            self._open(stage, done, total)
-        self._stage.update(done, total)
-        if self._bar is not None:
-            self._bar.update(done - self._bar.n)
-            if self._bar.total != total:  # now it is known
-                self._bar.total, self._bar.leave = total, total > 1
-                self._bar.refresh()
-            if done == total:
-                self.close()
-        elif total > 1 and self._stage.is_late():
-            self._stage.tell()
 
     def _open(self, stage, done, total):
         if not sys.stderr.isatty():
@@ -175,8 +173,7 @@ class Status:
     def compiling(self, share, done, total, processes=1):
         """Show that `done` of `total` kernels are compiled, a `share` of the work, 0 to 1.
 
-        May be called from another thread. Until all are done a stage that `progress` reports is
-        named beside this bar and gets none of its own.
+        May be called from another thread.
         """
         if self._compiled_from is None and done < total:
             self._compiled_from = time.perf_counter()
@@ -186,23 +183,12 @@ class Status:
             return
         with self._lock:
             if self._compiling is None and done < total:
-                self.close()
                 self._compiling = _CompileProgress(total, processes)
             if self._compiling is not None:
                 self._compiling.update(share, done)
                 if done == total:
-                    self._end_compiling()
-
-    def _end_compiling(self):
-        compiling, self._compiling = self._compiling, None
-        compiling.close()
-        stage = compiling.stage
-        if stage is None:
-            return
-        if compiling.bar is None:  # the stage has been named
-            self._stage = stage
-        elif stage.done < stage.total:
-            self._progress(stage.name, stage.done, stage.total)  # it gets its bar
+                    self._compiling.close()
+                    self._compiling = None
 
     def _tick(self):
         """Start the thread that looks at the clock."""
@@ -214,23 +200,23 @@ class Status:
         """Move the clock of a bar on, or say that a stage goes on which has not been heard of."""
         while not self._ended.wait(TICK):
             with self._lock:
-                bar, stage = self._bar, self._stage
-                if self._compiling is not None:
-                    bar, stage = self._compiling.bar, self._compiling.stage
-                if bar is not None:
+                for bar in self._bars():
                     bar.refresh()
-                elif stage is not None and stage.is_late():
-                    stage.tell()
+                if self._bar is None and self._stage is not None and self._stage.is_late():
+                    self._stage.tell()
 
     def close(self):
-        """End the bar that is shown."""
+        """End the bars that are shown."""
         with self._lock:
             if self._compiling is not None:
                 self._compiling.close()
                 self._compiling = None
-            if self._bar is not None:
-                self._bar.close()
-            self._bar, self._stage = None, None
+            self._end_stage()
+
+    def _end_stage(self):
+        if self._bar is not None:
+            self._bar.close()
+        self._bar, self._stage = None, None
 
 
 class StageProgress:
@@ -296,7 +282,7 @@ class _CompileProgress:
     """The bar, or the lines, of kernels that are being compiled; weighed by what each costs."""
 
     def __init__(self, total, processes):
-        self.total, self.bar, self.stage, self._told = total, None, None, 0
+        self.total, self.bar, self._told = total, None, 0
         self._begun = self._heard = time.perf_counter()
         many = f"{processes} processes" if processes > 1 else "one process"
         if not sys.stderr.isatty():
@@ -307,7 +293,7 @@ class _CompileProgress:
         self.bar = tqdm(
             total=1.0, desc=f"compiling {total} kernels, once", file=sys.stderr, leave=False,
             dynamic_ncols=True, bar_format="{desc}: {percentage:3.0f}%|{bar}| "
-            "{elapsed}<{remaining} {postfix}",
+            "{elapsed}<{remaining}",
         )  # fmt: skip
 
     def update(self, share, done):
@@ -321,14 +307,6 @@ class _CompileProgress:
             left = (now - self._begun) / share * (1 - share) if share > 0 else 0.0
             more = f", about {in_words(left)} left" if left >= LEAST_LEFT else ""
             click.echo(f"compiling {done}/{self.total}{more}", err=True)
-
-    def beside(self, stage, done, total):
-        """Name the stage that goes on meanwhile."""
-        if self.stage is None or self.stage.name != stage:
-            self.stage = StageProgress(stage)
-            if self.bar is not None:
-                self.bar.set_postfix_str(stage)
-        self.stage.update(done, total)
 
     def close(self):
         """End the bar."""

@@ -1,6 +1,7 @@
 """The commands around the frames: import, scenes, presets, warmup."""
 
 import json
+from itertools import takewhile
 from pathlib import Path
 
 import click
@@ -56,7 +57,7 @@ def import_(path, info, lod, **given):
     from rainsim.actors.actor_files import ACTORS_ARRAYS
     from rainsim.commands.cutting import cut_to_scene, require_cuttable
     from rainsim.config.settings import Config
-    from rainsim.output_folder import Record
+    from rainsim.output_folder.record import Record
     from rainsim.scene.folder import import_scene, write_scene
     from rainsim.scene.ground import ground_frame_to_dict, write_ground_frame
 
@@ -73,9 +74,7 @@ def import_(path, info, lod, **given):
             with job.status:
                 record = cut_to_scene(job, *whole)
         else:
-            record = Record(out, job.scene)
-            if job.resume:  # one step: it is made again in the folder of the same scene
-                record.resume(())
+            record = Record(out, job.scene, resume=job.resume)
             record.begin()
         scene = job.scene
         frame = scene.ground_frame
@@ -197,12 +196,8 @@ def _list_keys(as_json):
 
 def _comment(text):
     """Return the comment at the head of a preset as one line."""
-    lines = []
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            break
-        lines.append(line.lstrip("# "))
-    return " ".join(lines)
+    lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
+    return " ".join(line.lstrip("# ") for line in lines)
 
 
 @click.command(short_help="Compile once for this machine.")

@@ -37,7 +37,8 @@ def world(scene, parts, **given):
         rainsim world garden/ --path shot.usda --rain 25 --width 1920 --out shot
     """
     from rainsim.compiling.uses import SIMULATE
-    from rainsim.output_folder import Record, settings_content, settings_facts
+    from rainsim.output_folder.facts import settings_content, settings_facts
+    from rainsim.output_folder.record import Record
     from rainsim.scene.usd_cameras import require_usd
 
     parts = _parts(parts)
@@ -56,9 +57,8 @@ def world(scene, parts, **given):
                 "settings": settings_content(config), "parts": parts, "first": first,
                 **masks_named(given),
             }  # fmt: skip
-            record = Record(job.out, loaded, content, **settings_facts(config, job.preset))
-            if job.resume:
-                record.resume(())  # one step: it is written again in the folder of the same world
+            facts = settings_facts(config, job.preset)
+            record = Record(job.out, loaded, content, job.resume, **facts)
             record.begin()
             from rainsim.world.write import write_parts
 

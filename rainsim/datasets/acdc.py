@@ -6,13 +6,15 @@ clear partner of each is rgb_anon/rain/train_ref/SEQUENCE/..._rgb_ref_anon.png. 
 scene in one rain; its name ends in the severity. Views held out are in val and val_ref.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
+from rainsim.datasets.cityscapes import label_ids
 from rainsim.datasets.data_files import PNG, PNG16, DataFile
-from rainsim.datasets.kinds import GROUND, IGNORED, ROAD, TRAIN_IDS, class_of, kind_of
+from rainsim.datasets.kinds import IGNORED, TRAIN_TABLE, class_of
 from rainsim.datasets.sample import depth_mm
 from rainsim.render.labels import OTHER_CLASS
-from rainsim.terrain.table import WATER
 
 
 def sample_files(sample, plan):
@@ -37,11 +39,6 @@ def sample_files(sample, plan):
             yield DataFile(f"gt/{place}_gt_ref_labelTrainIds.png", PNG, train_ids(sample))
 
 
-def plan_files(plan, folder):
-    """Yield the `DataFile`s of the whole data set: there are none."""
-    yield from ()
-
-
 def sequence(name, rate):
     """Return the name of the sequence of a scene in a rain [mm/h]."""
     plain = "".join(c for c in name if c.isalnum()) or "scene"
@@ -53,19 +50,9 @@ def train_ids(sample):
 
     A puddle counts as the road that it stands on; water else is ignored, as Cityscapes knows none.
     """
-    if sample.labels is not None:
-        ids = np.minimum(class_of(sample.labels), IGNORED).astype(np.uint8)
-        return _with_actors(ids, sample, sample.labels == OTHER_CLASS)
-    table = np.full(256, IGNORED, np.uint8)
-    for code, number in GROUND.items():
-        table[code] = TRAIN_IDS[number]
-    ids = table[np.minimum(sample.class_id, IGNORED)]
-    ids[(sample.class_id == WATER) & (sample.puddle_id > 0)] = TRAIN_IDS[ROAD]
-    return _with_actors(ids, sample, True)
-
-
-def _with_actors(ids, sample, where):
-    for actor in sample.facts.get("actors", ()):
-        number = TRAIN_IDS.get(kind_of(actor["class"]).cityscapes, IGNORED)
-        ids[(sample.actor_id == actor["number"]) & where] = number
-    return ids
+    ids = TRAIN_TABLE[label_ids(replace(sample, labels=None))]
+    if sample.labels is None:
+        return ids
+    actors = False if sample.actor_id is None else sample.actor_id > 0
+    own = np.minimum(class_of(sample.labels), IGNORED).astype(np.uint8)
+    return np.where(actors & (sample.labels == OTHER_CLASS), ids, own)

@@ -28,21 +28,14 @@ def sample_files(sample, plan):
     split = "val" if sample.view.held_out else "train"
     name = f"{split}/{city}/{city}_000000_{sample.view.index:06d}"
     folder, ids = condition(sample.rate), label_ids(sample)
-    table = np.full(256, kinds.IGNORED, np.uint8)
-    table[list(kinds.TRAIN_IDS)] = list(kinds.TRAIN_IDS.values())
     yield DataFile(f"{folder}/leftImg8bit/{name}_leftImg8bit.png", PNG, sample.picture)
     gt = f"{folder}/gtFine/{name}_gtFine"
     yield DataFile(f"{gt}_labelIds.png", PNG, ids)
-    yield DataFile(f"{gt}_labelTrainIds.png", PNG, table[ids])
+    yield DataFile(f"{gt}_labelTrainIds.png", PNG, kinds.TRAIN_TABLE[ids])
     yield DataFile(f"{gt}_color.png", PNG, COLORS[ids])
     yield DataFile(f"{gt}_instanceIds.png", PNG16, instance_ids(sample, ids))
     depth = depth_mm(sample.depth)
     yield DataFile(f"{folder}/depth/{name}_depth.png", PNG16, depth)
-
-
-def plan_files(plan, folder):
-    """Yield the `DataFile`s of the whole data set: there are none."""
-    yield from ()
 
 
 def city_of(name):
@@ -59,9 +52,7 @@ def label_ids(sample):
         own = kinds.class_of(sample.labels)
         ids = np.where(own <= kinds.LAST_ID, own, kinds.UNLABELED).astype(np.uint8)
         return with_actors(ids, sample, sample.labels == OTHER_CLASS)
-    table = np.full(256, kinds.UNLABELED, np.uint8)
-    table[list(kinds.GROUND)] = list(kinds.GROUND.values())
-    ids = table[np.minimum(sample.class_id, 255)]
+    ids = kinds.GROUND_TABLE[np.minimum(sample.class_id, 255)]
     ids[(sample.class_id == WATER) & (sample.puddle_id > 0)] = kinds.ROAD
     return with_actors(ids, sample, True)
 

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.datasets import kinds
+from rainsim.drops import Weather
 from rainsim.lod.held_parts import scene_in_reach
 from rainsim.render.labels import GROUND_REACH, OTHER_CLASS
 from rainsim.sensors.lidar import LidarScanner, Pose
 from rainsim.sensors.lidar_model import KEPT, LOST, SENSORS
-from rainsim.sensors.rig import CAMERA_FROM_LIDAR
 from rainsim.shading.calibration import albedo_of_white
+from rainsim.shading.wetness import paving_dampness
 
 AT_ONCE = 1e6  # turns/s: all pulses within a microsecond
 MOVES = 0.5  # m/s, from which on an actor's class is the moving one
@@ -35,24 +36,19 @@ class Clouds:
         near = scene_in_reach(scene, places, self.lidar.far, self.lidar.divergence)
         self._scanner, self._seed = LidarScanner(near, terrain, albedo), config.rain.seed
 
-    def cloud(self, view, field, state, damp, actors):
-        """Return the points (n, 4), float32, and their labels (n,), uint32, of a view.
+    def seen_from(self, position, turn, number, config, state, actors):
+        """Return the points and their labels of a lidar at a position [m].
 
+        turn : float64 array (3, 3). Its axes, x ahead, y left, z up.
         actors : sequence of dict. See
             `rainsim.render.actor_labels.facts_of_actors`.
-        Returns points : float32 array (n, 4). x ahead, y left, z up from the
-            camera [m], and reflectivity.
+        Returns points : float32 array (n, 4). In its axes [m], and reflectivity.
             labels : uint32 array (n,). SemanticKITTI's class, and in the upper
                 half the number of the actor.
         """
-        camera = view.camera
-        turn = camera.camera_from_world[:3, :3].T @ CAMERA_FROM_LIDAR
-        return self.seen_from(camera.position, turn, view.index, field, state, damp, actors)
-
-    def seen_from(self, position, turn, number, field, state, damp, actors):
-        """Return what `cloud` does, for a lidar at a position [m] with its axes' `turn` (3, 3)."""
-        pose = Pose(position, turn, np.zeros(3))
-        rate = 0 if field is None else field.spectrum.rate
+        now, pose = config.at(state.time), Pose(position, turn, np.zeros(3))
+        field = Weather(config).field(state.time, state.time + now.render.exposure)
+        damp, rate = (0.0, 0) if field is None else (paving_dampness(now), field.spectrum.rate)
         rng = np.random.default_rng([self._seed, number, round(rate * 3.6e12)])
         scan = self._scanner.scan(self.lidar, pose, state.time, rng, field, state, damp)
         back = scan.label != LOST
@@ -78,9 +74,8 @@ class Clouds:
         terrain = self.terrain
         row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
         near = inside & (np.abs(place[:, 2] - terrain.bed[row, column]) < GROUND_REACH)
-        table = np.zeros(256, "<u4")
-        table[list(kinds.SEMANTIC_GROUND)] = list(kinds.SEMANTIC_GROUND.values())
-        return np.where(near, table[terrain.ground_class[row, column]], 0).astype("<u4")
+        classes = kinds.SEMANTIC_TABLE[terrain.ground_class[row, column]]
+        return np.where(near, classes, 0).astype("<u4")
 
 
 def semantic_label(own):

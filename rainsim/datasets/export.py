@@ -2,7 +2,6 @@
 
 import importlib
 import re
-import shutil
 import sys
 import time
 from collections import deque
@@ -14,10 +13,9 @@ from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.data_files import TEXT, DataFile, write_file, write_files
 from rainsim.datasets.sample import Cloud
 from rainsim.errors import ParameterError
-from rainsim.io.files import card_in, write_json
-from rainsim.io.fingerprint import fingerprint
-from rainsim.io.journal import SHARED_FOLDER, Journal
-from rainsim.output_folder import CLAIM, input_facts, others_in, remove_temporary, versions
+from rainsim.io.files import write_json
+from rainsim.output_folder.card_folder import CardFolder
+from rainsim.output_folder.facts import input_facts, versions
 
 CARD, CARD_TEXT, JOURNAL = "card.json", "CARD.md", "pictures.jsonl"
 AHEAD = 1  # samples that may wait for their files beside the one that is drawn
@@ -36,30 +34,17 @@ def _is_ours(name):
     return OURS.fullmatch(name) is not None
 
 
-class DataSetFolder:
-    """A folder that a data set is written to, with its card and its journal; the caller claims it.
+class DataSetFolder(CardFolder):
+    """A folder that a data set is written to.
 
-    `content` holds plain JSON values that the files depend on. `kept` are numbers of parts that
-    need not be drawn.
+    `content` holds plain JSON values that the files depend on.
     """
 
     def __init__(self, folder, layout, plan, content, scene, resume=False, overwrite=False):
-        self.folder, self.name, self.plan, self.scene = folder, layout, plan, scene
-        self.layout = layout_of(layout)
-        self.journal = Journal(folder, JOURNAL, _is_ours)
-        self.fingerprint = fingerprint({"data set": content, "layout": layout})
-        self._start, self._begun, self.kept = time.perf_counter(), False, set()
-        before = read_card(folder)
-        if resume:
-            self._check(before)
-            self.kept = set(self.journal.finished(range(self.count)))
-        elif before is None and any(folder.glob("*")):
-            found = [p.name for p in folder.iterdir() if p.name != CLAIM]
-            if found and overwrite:
-                raise ParameterError(
-                    f"output folder {folder} holds {found[0]} and no data set; --overwrite "
-                    "replaces data sets only; give another --out"
-                )
+        super().__init__(folder, CARD, JOURNAL, _is_ours, "data set", overwrite, resume)
+        self.name, self.plan, self.scene, self.layout = layout, plan, scene, layout_of(layout)
+        self._start = time.perf_counter()
+        self.find_kept({"data set": content, "layout": layout}, self.count)
 
     @property
     def count(self):
@@ -74,29 +59,9 @@ class DataSetFolder:
         """Return the views of a rain that are to be drawn."""
         return [v for v in range(len(self.plan.parts)) if self.part(rate, v) not in self.kept]
 
-    def _check(self, before):
-        """Raise ParameterError unless the folder holds an unfinished export of the same content."""
-        others = others_in(self.folder)
-        if before is None and others:
-            raise ParameterError(
-                f"output folder {self.folder} holds {others[0]} and no data set; --resume goes on "
-                "with an unfinished export only; give another --out"
-            )
-        if before is not None and before.get("fingerprint") != self.fingerprint:
-            raise ParameterError(
-                f"the data set in {self.folder} is another: other scene, settings, views, rains, "
-                "layout or version; --resume goes on with the very same export only; give another "
-                "--out, or --overwrite to replace it"
-            )
-
     def begin(self, config_of):
-        """Remove an earlier data set unless it is the same, and write the card."""
-        self._begun = True
-        before = read_card(self.folder)
-        if before is not None and before.get("fingerprint") != self.fingerprint:
-            self._remove_files()
-        remove_temporary(self.folder)
-        self.journal.begin_line()
+        """Remove what is not kept of an earlier data set, and write the card."""
+        self.clear()
         self._card = {
             "program": "rainsim", "command": ["rainsim", *sys.argv[1:]],
             "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "versions": versions(),
@@ -104,22 +69,6 @@ class DataSetFolder:
             **card_of(self.plan, self.name, self.scene, config_of), "fingerprint": self.fingerprint,
         }  # fmt: skip
         self._write_card(complete=False)
-
-    def _remove_files(self):
-        """Remove the files that the journal names, and the folders that are then empty."""
-        names = {name for entry in self.journal.entries().values() for name in entry["files"]}
-        names |= {name for name in (read_card(self.folder) or {}).get("files", ())
-                  if isinstance(name, str) and _is_ours(name)}  # fmt: skip
-        folders = set()
-        for name in (*names, JOURNAL, CARD_TEXT):
-            path = self.folder / name
-            path.unlink(missing_ok=True)
-            folders |= {p for p in path.parents if self.folder in p.parents}
-        for folder in sorted(folders, key=lambda p: -len(p.parts)):
-            if folder.is_dir() and not any(folder.iterdir()):
-                folder.rmdir()
-        shutil.rmtree(self.folder / SHARED_FOLDER, ignore_errors=True)
-        self.journal = Journal(self.folder, JOURNAL, _is_ours)
 
     def write(self, sample):
         """Write a sample's files, in any thread, and return their names."""
@@ -140,25 +89,20 @@ class DataSetFolder:
         """Note a sample as finished whose files are whole."""
         part = self.part(sample.rate, sample.view.index)
         self.journal.add(part, names, rain=sample.rate, view=sample.view.name)
-        self.kept.add(part)
+        self.kept[part] = names
 
     def finish(self):
         """Write what belongs to the whole data set, and the card as complete."""
-        files = [*self.layout.plan_files(self.plan, self.folder), *beside.plan_files(self.plan)]
+        own = getattr(self.layout, "plan_files", lambda plan, folder: ())
+        files = [*own(self.plan, self.folder), *beside.plan_files(self.plan)]
         names = [write_file(self.folder, file) for file in files]
         names.append(write_file(self.folder, DataFile(CARD_TEXT, TEXT, card_text(self._card))))
         self._write_card(complete=len(self.kept) == self.count, files=sorted(names))
 
     def _write_card(self, complete, **facts):
         seconds = round(time.perf_counter() - self._start, 3)
-        write_json(self.folder / CARD, {**self._card, "complete": complete, "seconds": seconds,
-                                        **facts})  # fmt: skip
-
-
-def read_card(folder):
-    """Return the card of a data set in a folder, None if there is none."""
-    card = card_in(folder / CARD)
-    return card if card and "layout" in card else None
+        facts = {**self._card, "complete": complete, "seconds": seconds, **facts}
+        write_json(self.card_file, facts)
 
 
 def export(shots, folder, config_of, tell=None):

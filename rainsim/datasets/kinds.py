@@ -35,10 +35,21 @@ TRAIN_IDS = {7: 0, 8: 1, 11: 2, 12: 3, 13: 4, 17: 5, 19: 6, 20: 7, 21: 8, 22: 9,
 IGNORED = 255
 UNLABELED, ROAD, TERRAIN = 0, 7, 22
 LAST_ID, FIRST_WITH_INSTANCES = 33, 24
-GROUND = {HARD: ROAD, DRAIN: ROAD, GRASS: TERRAIN, SOIL: TERRAIN}  # ids of Cityscapes
-SEMANTIC_GROUND = {HARD: 40, DRAIN: 40, GRASS: 72, SOIL: 72}
 PER_CLASS = 1000  # instances that a class has room for, as Cityscapes numbers them
 OUTLIER = 1  # of SemanticKITTI: what is no echo of the place that it seems to come from
+
+
+def _table(numbers, other):
+    """Return a table (256,) of numbers by id."""
+    table = np.full(256, other, np.uint8)
+    table[list(numbers)] = list(numbers.values())
+    return table
+
+
+TRAIN_TABLE = _table(TRAIN_IDS, IGNORED)
+# By the class of the ground: ids of Cityscapes, and classes of SemanticKITTI.
+GROUND_TABLE = _table({HARD: ROAD, DRAIN: ROAD, GRASS: TERRAIN, SOIL: TERRAIN}, UNLABELED)
+SEMANTIC_TABLE = _table({HARD: 40, DRAIN: 40, GRASS: 72, SOIL: 72}, 0)
 
 
 def class_of(own):

@@ -22,8 +22,6 @@ CORNERS = 0.5 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (
 OCCLUDED = (0.1, 0.5)  # shares of an actor's pixels from which it is partly and largely occluded
 COLOR, CAMERAS = 2, 4  # KITTI's left colour camera, and how many it has
 AXES = np.column_stack([CAMERA_FROM_LIDAR, np.zeros(3)])
-SAME = " ".join(f"{v:.12e}" for v in np.eye(3).ravel())
-SAME_PLACE = " ".join(f"{v:.12e}" for v in np.eye(3, 4).ravel())
 
 
 def sample_files(sample, plan):
@@ -165,8 +163,8 @@ def calibration(camera, rig=None):
         if rig.lidars:
             lidar = np.linalg.inv(camera_from_first(rig.lidars[0], rig))[:3]
     lines = [f"P{k}: {_numbers(matrix)}" for k, matrix in enumerate(projections)]
-    lines += [f"R0_rect: {SAME}", f"Tr_velo_to_cam: {_numbers(lidar)}"]
-    return "\n".join([*lines, f"Tr_imu_to_velo: {SAME_PLACE}"]) + "\n"
+    lines += [f"R0_rect: {_numbers(np.eye(3))}", f"Tr_velo_to_cam: {_numbers(lidar)}"]
+    return "\n".join([*lines, f"Tr_imu_to_velo: {_numbers(np.eye(3, 4))}"]) + "\n"
 
 
 def _pinhole(camera):

@@ -13,8 +13,7 @@ from rainsim.datasets.points import ply_bytes
 from rainsim.datasets.sample import depth_mm
 from rainsim.datasets.splits import lists_of
 from rainsim.scene.cameras import FLIP
-
-OPENCV_KEYS, FISHEYE_KEYS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
+from rainsim.sensors.optics import lens_keys
 
 
 def sample_files(sample, plan):
@@ -42,11 +41,8 @@ def transforms(plan, partner=None):
     of the rain, but for the dry partner, of which all counts.
     """
     pictures = "images" if partner is None else f"{FOLDER}/{partner}"
-    lens = plan.views[0].lens
-    fisheye = lens is not None and lens.model == "fisheye"
-    keys = FISHEYE_KEYS if fisheye else OPENCV_KEYS
-    bent = [{} if v.lens is None else dict(zip(keys, v.lens.values, strict=False))
-            for v in plan.views]  # fmt: skip
+    usual = {"camera_model": "OPENCV"}
+    bent = [usual | lens_keys(view.lens) for view in plan.views]
     train, val, test = ([f"{pictures}/{view.name}.png" for view in part]
                         for part in lists_of(plan.views))  # fmt: skip
     frames = [{
@@ -55,11 +51,12 @@ def transforms(plan, partner=None):
         **({} if partner == "dry" else {"mask_path": f"masks/{view.name}.png"}),
         "w": view.camera.width, "h": view.camera.height,
         "fl_x": view.camera.fx, "fl_y": view.camera.fy,
-        "cx": view.camera.cx, "cy": view.camera.cy, **own,
+        "cx": view.camera.cx, "cy": view.camera.cy,
+        **{key: own[key] for key in own if key != "camera_model"},
         "transform_matrix": opengl_pose(view.camera).tolist(),
     } for view, own in zip(plan.views, bent, strict=True)]  # fmt: skip
     return {
-        "camera_model": "OPENCV_FISHEYE" if fisheye else "OPENCV",
+        "camera_model": bent[0]["camera_model"],
         "orientation_override": "none",  # z is up already
         "ply_file_path": "points.ply",
         "train_filenames": train, "val_filenames": val, "test_filenames": test,

@@ -3,9 +3,11 @@
 import numpy as np
 
 from rainsim.constants import SH_0
+from rainsim.sensors.point_files import ply_of
 
 MOST_POINTS = 100_000
 LEAST_OPACITY = 0.3  # of a splat that stands for a surface
+POINT = [*((axis, "<f4") for axis in "xyz"), *((c, "u1") for c in ("red", "green", "blue"))]
 
 
 def points_of(scene, most=MOST_POINTS):
@@ -20,13 +22,7 @@ def points_of(scene, most=MOST_POINTS):
 
 def ply_bytes(places, colors):
     """Return a binary PLY file of points: x, y, z as float, red, green, blue as uchar."""
-    header = (
-        "ply\nformat binary_little_endian 1.0\n"
-        f"element vertex {len(places)}\n"
-        + "".join(f"property float {axis}\n" for axis in "xyz")
-        + "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
-        + "end_header\n"
-    )
-    rows = np.empty(len(places), [("place", "<f4", 3), ("color", "u1", 3)])
-    rows["place"], rows["color"] = places, colors
-    return header.encode() + rows.tobytes()
+    rows = np.empty(len(places), POINT)
+    for name, values in zip(rows.dtype.names, (*places.T, *colors.T), strict=True):
+        rows[name] = values
+    return ply_of(rows)

@@ -53,11 +53,6 @@ def sample_files(sample, plan):
     yield DataFile(f"{folder}/camera_params_{number}.json", JSON, params)
 
 
-def plan_files(plan, folder):
-    """Yield the `DataFile`s of the whole data set: there are none."""
-    yield from ()
-
-
 def segmentation(sample, names):
     """Return the colours (height, width, 4), uint8, of the classes, and the labels by colour."""
     ids = np.minimum(sample.class_id, OTHER_CLASS)

@@ -9,12 +9,10 @@ from rainsim.actors.motion import Motion
 from rainsim.datasets import ONE_LENS, RIGGED, SCANNED
 from rainsim.datasets.clouds import Clouds
 from rainsim.datasets.sample import Cloud, Turn, View
-from rainsim.datasets.shots import Shots
-from rainsim.drops import Weather
+from rainsim.datasets.shots import Shots, by_number
 from rainsim.errors import ParameterError
 from rainsim.pipeline import simulate
 from rainsim.render.actor_labels import box_in_space
-from rainsim.shading.wetness import paving_dampness
 
 NUMBERED = "kitti", *SCANNED  # layouts in which a number is one time of all sensors
 KITTI_CAMERAS = 4
@@ -125,19 +123,12 @@ class RigShots:
                 user_labels, sensor.readout, None, partners, None, clock_of(sensor, step),
             )  # fmt: skip
             self._cameras.append((views, shots))
+        self.config_of, self.drawn_camera = shots.config_of, shots.drawn_camera
         for sensor in plan.rig.lidars:
             turns = [turn for turn in plan.turns if turn.mount is sensor]
             places = [turn.ground_from_sensor[:3, 3] for turn in turns]
             clouds = Clouds(scene, terrain, places, sensor.lidar, config, user_labels)
             self._lidars.append((turns, clouds, clock_of(sensor, step)))
-
-    def config_of(self, rate):
-        """Return the settings of a rain rate [mm/h], see `Shots.config_of`."""
-        return self._cameras[0][1].config_of(rate)
-
-    def drawn_camera(self, view):
-        """Return the pinhole camera that is drawn for a view, in the capture frame."""
-        return self._cameras[0][1].drawn_camera(view)
 
     def draw(self, rate, indices):
         """Yield a `Sample` or a `Cloud` for each of the plan's parts `indices` at a rate [mm/h]."""
@@ -153,24 +144,18 @@ class RigShots:
 
     def _clouds(self, rate, turns, clouds, clock):
         config = self.config_of(rate)
-        weather, states, state = Weather(config), clock.states(self.terrain, config), None
+        state_of = by_number(clock.states(self.terrain, config))
         for turn in turns:
-            while state is None or state.index < turn.frame:
-                state = next(states)
-            now, field, damp = config.at(state.time), None, 0.0
-            if rate > 0:
-                field, damp = weather.field(state.time, now.render.exposure), paving_dampness(now)
-            place = turn.ground_from_sensor
+            place, actors = turn.ground_from_sensor, self._actors(turn)
             yield Cloud(turn, rate, clouds.seen_from(
-                place[:3, 3], place[:3, :3], turn.index, field, state, damp,
-                self._actors(turn.time, 1 / float(turn.mount.rate)),
+                place[:3, 3], place[:3, :3], turn.index, config, state_of(turn.frame), actors
             ))  # fmt: skip
 
-    def _actors(self, time, interval):
-        """Return number, class and box of each actor that is there at a time [s]."""
-        found = []
+    def _actors(self, turn):
+        """Return number, class and box of each actor that is there at the time of a turn."""
+        found, interval = [], 1 / float(turn.mount.rate)
         for number, actor in enumerate(self.scene.actors, start=1):
-            box = box_in_space(Motion(actor, self.scene.ground_frame), time, interval)
+            box = box_in_space(Motion(actor, self.scene.ground_frame), turn.time, interval)
             if box is not None:
                 found.append({"number": number, "class": actor.kind, "box3d": box})
         return found

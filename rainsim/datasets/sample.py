@@ -61,7 +61,7 @@ class Cloud:
 
     view: Turn
     rate: float  # mm/h
-    cloud: tuple  # see `rainsim.datasets.clouds.Clouds.cloud`
+    cloud: tuple  # see `rainsim.datasets.clouds.Clouds.seen_from`
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Sample:
     facts: dict = field(default_factory=dict)  # see `rainsim.render.layers.facts_of`
     actor_id: np.ndarray | None = None
     partners: dict = field(default_factory=dict)  # pictures by the names of PARTNERS
-    cloud: tuple | None = None  # see `rainsim.datasets.clouds.Clouds.cloud`
+    cloud: tuple | None = None  # see `rainsim.datasets.clouds.Clouds.seen_from`
 
     @cached_property
     def flow_picture(self):

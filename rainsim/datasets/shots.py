@@ -8,14 +8,13 @@ from rainsim.backend import on_backend
 from rainsim.config.settings import mm_per_hour
 from rainsim.datasets.clouds import Clouds
 from rainsim.datasets.sample import REPLACED, Sample, keep_mask
-from rainsim.drops import Weather
 from rainsim.pipeline import FrameSequence, simulate
 from rainsim.raster import Rasterizer, prepare
 from rainsim.render.shutter import motion_of
 from rainsim.sensors.glass import wide_camera
 from rainsim.sensors.optics import Warps, behind_glass, warped_facts, warped_layers
+from rainsim.sensors.rig import CAMERA_FROM_LIDAR
 from rainsim.sensors.rolling import STILL, Motion, draw_rolling
-from rainsim.shading.wetness import paving_dampness
 from rainsim.terrain.pond import without_images
 
 LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", "splash_alpha",
@@ -23,6 +22,19 @@ LABELS = ("depth", "range", "class_id", "puddle_id", "splash_id", "rain_alpha", 
 FLOWS, ACTORS = ("flow", "flow_mask"), "actor_id"
 NEAR = 0.05  # m
 CLEAR, CLEAR_AIR = "clean", "clear_air"
+
+
+def by_number(states):
+    """Return a function of a number that returns the first state from the last one on with it."""
+    state = None
+
+    def of(number):
+        nonlocal state
+        while state is None or state.index < number:
+            state = next(states)
+        return state
+
+    return of
 
 
 class Shots:
@@ -49,7 +61,7 @@ class Shots:
             places = [view.camera.position for view in views]
             self._clouds = Clouds(scene, terrain, places, lidar, config, user_labels)
         self._wide = None  # what drops on the glass show: rate, renderer
-        self._water = None  # rate, states, the last state
+        self._water = None  # rate, and what returns its states
         self._warps = Warps()
         self.labels = (*LABELS, *((ACTORS,) if scene.actors else ()))
 
@@ -82,9 +94,10 @@ class Shots:
 
     def config_of(self, rate):
         """Return the settings of a rain rate [mm/h]; for 0 those of a dry day: no water at all."""
+        config = self.config.replace(frames=len(self.views) if self.sequence else 1)
         if rate > 0:
-            return self.config.replace(rate=mm_per_hour(rate)).check()
-        return self.config.replace(rate=0.0, past=0.0, level=None).check()
+            return config.replace(rate=mm_per_hour(rate)).check()
+        return config.replace(rate=0.0, past=0.0, level=None).check()
 
     def drawn_camera(self, view):
         """Return the pinhole camera that is drawn for a view, in the capture frame."""
@@ -92,55 +105,38 @@ class Shots:
         return self.scene.ground_frame.camera_in_capture(camera)
 
     def _at_one_moment(self, config, indices, names):
-        config = config.replace(frames=1)
         state = next(simulate(self.terrain, config))
         cameras = [self.drawn_camera(self.views[index]) for index in indices]
-        make = on_backend(self.backend)[0]
-        first = self.drawn_camera(self.views[0])  # the surroundings are drawn from its place
-        renderer = make(without_images(self.scene, self.terrain), self.terrain, config, first)
-        shots = ((camera, state, None) for camera in cameras)
-        yield from renderer.film(shots, names)
+        renderer = self._renderer(config, self.drawn_camera(self.views[0]))
+        yield from renderer.film(((camera, state, None) for camera in cameras), names)
+
+    def _renderer(self, config, camera):
+        """Return a renderer, whose surroundings are drawn from a camera's place."""
+        scene = without_images(self.scene, self.terrain)
+        return on_backend(self.backend)[0](scene, self.terrain, config, camera)
 
     def _in_sequence(self, config, indices, names):
         cameras = [self.drawn_camera(view) for view in self.views]
-        config = config.replace(frames=len(cameras))
-        water = None if self._clock is None else self._numbered(config)
+        water = None if self._clock is None else self._states(config)
         sequence = FrameSequence(
             self.scene, self.terrain, cameras, config, self.backend, names, water
         )
         yield from sequence.frames(indices)
 
     def _states(self, config):
-        """Return the water's states at the times of the views."""
+        """Return a function of a view's number that returns the water's state at its time."""
         if self._clock is None:
-            return simulate(self.terrain, config)
-        return self._clock.states(self.terrain, config)
-
-    def _numbered(self, config):
-        """Return states(number), which goes on from state to state."""
-        states, state = self._states(config), None
-
-        def of(number):
-            nonlocal state
-            while state is None or state.index < number:
-                state = next(states)
-            return state
-
-        return of
+            return by_number(simulate(self.terrain, config))
+        return by_number(self._clock.states(self.terrain, config))
 
     def _rolling(self, config, indices, names):
         """Yield pictures and reports of a rolling shutter, see `rainsim.sensors.rolling`."""
         frame = self.scene.ground_frame
         path = [frame.camera_in_ground(self.drawn_camera(view)) for view in self.views]
-        config = config.replace(frames=len(path) if self.sequence else 1)
-        scene = without_images(self.scene, self.terrain)
-        first = frame.camera_in_capture(path[0])
-        renderer = on_backend(self.backend)[0](scene, self.terrain, config, first)
-        states, state = self._states(config), None
+        renderer = self._renderer(config, frame.camera_in_capture(path[0]))
+        state_of = self._states(config)
         for index in indices:
-            while state is None or (self.sequence and state.index < index):
-                state = next(states)
-            motion = STILL
+            motion, state = STILL, state_of(index if self.sequence else 0)
             if self.sequence:
                 motion = Motion(*motion_of(path, index, config.fps))
             own = self.views[index].camera
@@ -153,34 +149,23 @@ class Shots:
         camera = frame.camera_in_ground(self.drawn_camera(view))
         wide = frame.camera_in_capture(wide_camera(camera))
         if self._wide is None or self._wide[0] != rate:
-            scene = without_images(self.scene, self.terrain)
-            own = config.replace(frames=len(self.views) if self.sequence else 1)
-            self._wide = rate, on_backend(self.backend)[0](scene, self.terrain, own, wide)
+            self._wide = rate, self._renderer(config, wide)
         state = self._state_of(view, rate, config)
         seed = 0 if self.sequence else 7919 * view.index  # a pane of its own at one moment
         return behind_glass(self._wide[1], camera, state, self.pane, picture, clear_air, seed)
 
     def _state_of(self, view, rate, config):
         """Return the water's state at the time of a view; views come in their order."""
-        place = view.index if self.sequence else 0
         if self._water is None or self._water[0] != rate:
-            own = config.replace(frames=len(self.views) if self.sequence else 1)
-            self._water = rate, simulate(self.terrain, own), None
-        _, states, state = self._water
-        while state is None or state.index < place:
-            state = next(states)
-        self._water = rate, states, state
-        return state
+            self._water = rate, self._states(config)
+        return self._water[1](view.index if self.sequence else 0)
 
     def _cloud(self, view, rate, actors):
         """Return points and labels of the lidar's view."""
-        config = self.config_of(rate)
+        config, camera = self.config_of(rate), view.camera
+        turn = camera.camera_from_world[:3, :3].T @ CAMERA_FROM_LIDAR
         state = self._state_of(view, rate, config)
-        now, field, damp = config.at(state.time), None, 0.0
-        if rate > 0:
-            field = Weather(config).field(state.time, now.render.exposure)
-            damp = paving_dampness(now)
-        return self._clouds.cloud(view, field, state, damp, actors)
+        return self._clouds.seen_from(camera.position, turn, view.index, config, state, actors)
 
     def _with_hidden(self, actors, camera, time):
         """Return the labels of actors with the share of each that others hide, as `hidden`."""

@@ -84,7 +84,7 @@ def _from_file(path, count):
     )
     try:
         with open(require_file(path, "a file of labels", remedy), "rb") as file:
-            shape, _, dtype = npy_header(file)  # before memory is taken for what it promises
+            shape, dtype = npy_header(file)  # before memory is taken for what it promises
             fits = dtype.kind in "iu" and shape == (count,)
             ids = np.fromfile(file, dtype, count) if fits else np.zeros(0, int)
     except InputError:

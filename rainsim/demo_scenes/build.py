@@ -118,11 +118,10 @@ def strands(
     direction = unit(np.broadcast_to(np.asarray(direction, np.float32), (n, 3)))
     side = np.cross(direction, np.broadcast_to(np.asarray(normal, np.float32), (n, 3)))
     side[np.linalg.norm(side, axis=1) < 1e-3] = (0.6, 0.8, 0)
-    cloud = discs(
+    return discs(
         position, np.cross(side, direction), colour, size,
         along=direction, thickness=size[:, 1] * flat, opacity=opacity,
     )  # fmt: skip
-    return cloud
 
 
 def line(points, colour, width, *, piece=0.06, opacity=0.95):
@@ -176,6 +175,11 @@ def tube(points, radius, colour, *, piece=0.025, around=8, sheen=0.0, opacity=0.
         size.reshape(-1, 2), along=np.repeat(direction, around, axis=0),
         thickness=np.minimum(THIN, np.repeat(radius, around) * 0.2), opacity=opacity, sheen=sheen,
     )  # fmt: skip
+
+
+def grid(*along):
+    """Return the coordinates of all places of a grid, by its coordinates along each axis."""
+    return (values.ravel() for values in np.meshgrid(*along))
 
 
 def cells(length, spacing, edge=0.45):
@@ -271,13 +275,16 @@ def turn_about(axis, angle):
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
+def spiral(z):
+    """Return unit directions (n, 3) at heights z (n,) that rise evenly: even in solid angle."""
+    turn = (np.arange(len(z)) + 0.5) * np.pi * (3 - np.sqrt(5))  # golden angle: no two line up
+    r = np.sqrt(np.clip(1 - z * z, 0, 1))
+    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+
+
 def sky_directions(count=64):
     """Return `count` unit directions over the upper half space, even in solid angle."""
-    k = np.arange(count) + 0.5
-    z = k / count
-    turn = k * np.pi * (3 - np.sqrt(5))  # golden angle: no two rays line up
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1).astype(np.float32)
+    return spiral((np.arange(count) + 0.5) / count).astype(np.float32)
 
 
 def sky_share(points, boxes, directions):

@@ -22,7 +22,7 @@ from rainsim.compiling.pool import cores
 from rainsim.errors import BackendError, RainsimError, one_line
 from rainsim.farm.shared_run import SharedRun
 from rainsim.io.fingerprint import versions
-from rainsim.output_folder import FrameFolder, complete_film
+from rainsim.output_folder.frames import FrameFolder, complete_film
 
 HERE = "127.0.0.1"
 POLL = 0.5  # s between looks at what is drawn

@@ -14,7 +14,9 @@ from dataclasses import replace
 from rainsim.errors import InputError, ParameterError
 from rainsim.io.claim import ClaimedError, claim
 from rainsim.io.journal import SHARED_FOLDER
-from rainsim.output_folder import complete_film, host_facts, read_record
+from rainsim.output_folder.facts import host_facts
+from rainsim.output_folder.frames import complete_film
+from rainsim.output_folder.names import read_record
 from rainsim.render.frame_files import FrameWriter, facts_of, report_of
 
 JOINING, WHOLE = "joining", "whole"  # claims: on looking who is there, and on ending the run

@@ -7,6 +7,7 @@ an index out of range or in minutes of a kernel.
 """
 
 import errno
+import math
 import zipfile
 from dataclasses import dataclass
 
@@ -16,7 +17,6 @@ from rainsim.errors import InputError
 from rainsim.io.files import MAX_LENGTH, replacing, require_file
 
 VERSION = "version"  # the array that holds the version; files without it are of version 1
-STEP = 1 << 20  # bytes that are read at a time
 HEADER_LIMIT = 4096  # bytes of text that say an array's type and shape
 MOST_MEMBERS = 256  # arrays of a file
 TEXT = "text"  # in place of a dtype
@@ -116,17 +116,13 @@ class _Reader:
         """Return one array; `lengths` takes the lengths that its shape names."""
         info = members[name + ".npy"]
         with archive.open(info) as file:
-            shape, by_columns, dtype = npy_header(file)
+            shape, dtype = npy_header(file)
             self._check_type(name, field, shape, dtype)
             self._check_shape(name, field, shape, lengths)
-            count = 1
-            for length in shape:
-                count *= length
-            if count * dtype.itemsize != info.file_size - file.tell():
+            if math.prod(shape) * dtype.itemsize != info.file_size - file.tell():
                 raise self.error(f"it is damaged, {name} does not fill its place")
-            array = np.empty(count, dtype)
-            _fill(file, array)
-        array = array.reshape(shape, order="F" if by_columns else "C")
+        with archive.open(info) as file:  # the archive compares the bytes' checksum at their end
+            array = np.lib.format.read_array(file, max_header_size=HEADER_LIMIT)
         if field.kind == TEXT:
             return array.tolist()
         self._check_values(name, field, array)
@@ -158,26 +154,16 @@ class _Reader:
 
 
 def npy_header(file):
-    """Return shape, whether columns come first, and dtype of the array that begins here."""
+    """Return shape and dtype of the array that begins here."""
     version = np.lib.format.read_magic(file)
     read = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
     }[version]
-    shape, by_columns, dtype = read(file, max_header_size=HEADER_LIMIT)
+    shape, _, dtype = read(file, max_header_size=HEADER_LIMIT)
     if dtype.hasobject or not all(0 <= length for length in shape):
         raise ValueError("no plain array")
-    return shape, by_columns, dtype
-
-
-def _fill(file, array):
-    """Read an array's bytes; the archive compares their checksum at its end."""
-    data, at = memoryview(array.view(np.uint8)) if array.nbytes else b"", 0
-    while piece := file.read(STEP):
-        data[at : at + len(piece)] = piece
-        at += len(piece)
-    if at != array.nbytes:
-        raise EOFError
+    return shape, dtype
 
 
 def _shown(shape):

@@ -16,7 +16,6 @@ from rainsim import __version__
 from rainsim.io.files import require_file
 
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba", "llvmlite", "pillow", "imageio")
-BLOCK = 1 << 20  # bytes
 
 
 def fingerprint(content):
@@ -39,11 +38,8 @@ def hash_of_array(array):
 
 def hash_of_file(path):
     """Return the SHA-256 of a file's content."""
-    digest = hashlib.sha256()
     with open(require_file(path, "an input"), "rb") as file:
-        while block := file.read(BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @functools.cache

@@ -332,9 +332,7 @@ def _unpack_line(path, packed, line_out, row, height):
             if count == 0 or at > len(packed):
                 raise _cut_off(path, row, height)
         if len(line) != width:
-            raise InputError(
-                f"{path} line {row} is damaged: its runs do not fill it exactly; copy it again"
-            )
+            raise _cut_off(path, row, height)
         line_out[:, channel] = np.frombuffer(line, np.uint8)
     return at
 
@@ -355,9 +353,7 @@ def _flat_line(path, pixels, line_out, row, height):
         if (pixel[:3] == 1).all() and filled > 0:
             count = int(pixel[3]) << shift
             if count > width - filled:
-                raise InputError(
-                    f"{path} line {row} is damaged: a run is longer than the line; copy it again"
-                )
+                raise _cut_off(path, row, height)
             line_out[filled : filled + count] = line_out[filled - 1]
             filled += count
             shift += 8

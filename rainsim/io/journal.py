@@ -7,6 +7,7 @@ shared disk does not keep lines apart that two machines append to one file.
 """
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 from rainsim.io.files import naming, parsed_json, replacing
@@ -26,8 +27,6 @@ class Journal:
     def __init__(self, folder, name, ours, own=None):
         self.folder, self.name, self._ours = Path(folder), name, ours
         self._parts, self._own = self.folder / SHARED_FOLDER, own
-        self._read = {}  # bytes of each journal that have been read
-        self._entries = {}
 
     @property
     def path(self):
@@ -43,28 +42,15 @@ class Journal:
             file.write(line + "\n")
 
     def entries(self):
-        """Return the last entry of each part, whatever has become of its files, by index.
-
-        Only what was appended since the last call is read.
-        """
+        """Return the last entry of each part, whatever has become of its files, by index."""
+        found = {}
         for path in (self.path, *sorted(self._parts.glob("*.jsonl"))):
-            for line in self._new_lines(path):
-                entry = parsed_json(line)
-                if self._is_entry(entry):
-                    self._entries[entry["index"]] = entry
-        return dict(self._entries)
-
-    def _new_lines(self, path):
-        """Return the new lines of a journal; one without an end is left for later."""
-        try:
-            with open(path, "rb") as file:
-                file.seek(self._read.get(path, 0))
-                content = file.read()
-        except OSError:
-            return []
-        end = content.rfind(b"\n") + 1
-        self._read[path] = self._read.get(path, 0) + end
-        return content[:end].decode("utf-8", "replace").split("\n")
+            with suppress(OSError):
+                *lines, _ = path.read_bytes().split(b"\n")  # one without an end is left for later
+                for entry in map(parsed_json, lines):
+                    if self._is_entry(entry):
+                        found[entry["index"]] = entry
+        return found
 
     def gather(self):
         """Write all entries to the journal itself, in order, and remove those of processes."""
@@ -74,7 +60,6 @@ class Journal:
             with replacing(self.path) as temporary:
                 lines = [json.dumps(entries[index]) for index in sorted(entries)]
                 temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-            self._read = {}
         for path in parts:
             path.unlink(missing_ok=True)
 

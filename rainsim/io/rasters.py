@@ -9,6 +9,7 @@ import numpy as np
 
 from rainsim.errors import InputError, one_line
 from rainsim.io import images
+from rainsim.io.arrays import npy_header
 from rainsim.io.files import MAX_LENGTH, read_text, replacing, require_file
 
 KINDS = (".asc", ".txt", ".npy", ".tif", ".tiff")
@@ -83,12 +84,9 @@ def read_raster(path):
 
 
 def _loaded(path):
-    from numpy.lib import format as npy
-
     try:
         with open(path, "rb") as file:
-            header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-            shape, _, dtype = header[npy.read_magic(file)](file)
+            shape, dtype = npy_header(file)
             size = path.stat().st_size - file.tell()
         if dtype.kind not in "biuf" or math.prod(shape) * dtype.itemsize > size:
             raise ValueError(f"{dtype} of shape {shape} in {size} bytes")

@@ -25,7 +25,8 @@ def claimed(path, overwrite=False, resume=False, sources=(), shared=False):
     OSError if it cannot be made or written to.
     """
     path = Path(path)
-    require_no_file(path)
+    if path.exists() and not path.is_dir():
+        raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
     require_empty(path, overwrite or resume or shared)
     made = [p for p in (path, *path.parents) if not p.exists()]
     try:
@@ -46,12 +47,6 @@ def claimed(path, overwrite=False, resume=False, sources=(), shared=False):
         for folder in (*own, *made):
             with suppress(OSError):  # it is not empty, or not there
                 folder.rmdir()
-
-
-def require_no_file(path):
-    """Raise ParameterError if an output folder's path is that of a file."""
-    if path.exists() and not path.is_dir():
-        raise ParameterError(f"output {path} is a file; it must be a folder; give another --out")
 
 
 def require_empty(path, overwrite):

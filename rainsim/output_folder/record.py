@@ -36,7 +36,7 @@ class Record:
     besides the scene and the facts, or in place of facts of the same name.
     """
 
-    def __init__(self, folder, scene=None, content=None, **facts):
+    def __init__(self, folder, scene=None, content=None, resume=False, **facts):
         self.folder, self._start = folder, time.perf_counter()
         self.facts = {
             **WRITER,
@@ -51,6 +51,8 @@ class Record:
         self.fingerprint = fingerprint({"scene": scene_content(scene), **own})
         self.files = []
         self.journal = Journal(folder, JOURNAL, OURS.fullmatch)
+        if resume:
+            self.require_same()
 
     def share(self, folder, name):
         """Note in a journal of this process's own, `name`; `folder` is the folder as seen here."""

@@ -80,30 +80,24 @@ def activate(position, log_scale, turn, logit, base, rest=None):
     return splats, good
 
 
-def keep_good(path, splats, good, max_broken=MAX_BROKEN_SHARE):
-    """Return the usable splats and how many were dropped; InputError if too many or all were."""
+def without_broken(path, splats, good, max_broken):
+    """Return the usable splats, a note on the others, if any, in a list, and their number."""
     count = len(good)
     broken = count - int(np.count_nonzero(good))
     if not broken:
-        return splats, 0
+        return splats, [], 0
     require_few_broken(path, broken, count, max_broken)
-    return splats.take(good), broken
+    note = f"dropped {_share(broken, count)} with NaN, infinite or absurd values"
+    return splats.take(good), [note], broken
 
 
-def require_few_broken(path, broken, count, max_broken=MAX_BROKEN_SHARE):
+def require_few_broken(path, broken, count, max_broken):
     """Raise InputError if too many of the splats of a file are unusable, or all of them."""
     if broken > max_broken * count or broken == count:
         raise InputError(
             f"{path} has {_share(broken, count)} with NaN, infinite or absurd values; at most "
             f"{100 * MAX_BROKEN_SHARE:g} % are tolerated; export the capture again"
         )
-
-
-def dropped_note(broken, kept):
-    """Return a list with a note on the splats that `keep_good` dropped, empty if there are none."""
-    if not broken:
-        return []
-    return [f"dropped {_share(broken, broken + kept)} with NaN, infinite or absurd values"]
 
 
 def _share(broken, count):

@@ -11,7 +11,9 @@ FLIP = np.array([1.0, -1.0, -1.0])  # OpenGL camera axes (y up, z back) to ours,
 
 
 class Entry:
-    """One camera's values in a file, and the values that all cameras of the file share."""
+    """One camera's values in a file, or others, and those that all entries of the file share."""
+
+    remedy = "correct the file"
 
     def __init__(self, path, label, values, shared=None):
         self.label = f"{path} {label}"
@@ -61,4 +63,4 @@ class Entry:
     def error(self, key, rule):
         """Return the InputError for a value that breaks a rule."""
         value = "missing" if self.get(key) is None else shown(self.get(key))
-        return InputError(f"{self.label}: {key} is {value}; it must be {rule}; correct the file")
+        return InputError(f"{self.label}: {key} is {value}; it must be {rule}; {self.remedy}")

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.io.files import json_number, write_json
+from rainsim.io.files import json_number
 from rainsim.scene.camera_entry import FLIP, Entry
 from rainsim.scene.camera_rule import focal_length
 from rainsim.scene.types import pose_at
@@ -96,17 +96,20 @@ def path_keyframes(data, source):
     found = []
     for i, keyframe in enumerate(keyframes):
         entry = Entry(source, f"keyframe {i}", keyframe, data)
-        camera, own = _camera(entry, i, "matrix"), keyframe.get("override_transition_enabled")
-        key = "override_transition_sec" if own else "default_transition_sec"
         # There is none before the first one, whose seconds may therefore be zero.
-        seconds = entry.number(key, 0, MOST_SECONDS) if i else USUAL_SECONDS
-        found.append((camera, seconds, _rain_time(entry)))
+        seconds = _transition(entry) if i else USUAL_SECONDS
+        found.append((_camera(entry, i, "matrix"), seconds, _rain_time(entry)))
     if data.get("is_cycle") is True and len(found) > 1:
-        entry = Entry(source, "keyframe 0", keyframes[0], data)
-        own = keyframes[0].get("override_transition_enabled")
-        key = "override_transition_sec" if own else "default_transition_sec"
-        found.append((found[0][0], entry.number(key, 0, MOST_SECONDS), found[-1][2]))
+        seconds = _transition(Entry(source, "keyframe 0", keyframes[0], data))
+        found.append((found[0][0], seconds, found[-1][2]))
     return found
+
+
+def _transition(entry):
+    """Return the time [s] from the keyframe before to this one."""
+    own = entry.values.get("override_transition_enabled")
+    key = "override_transition_sec" if own else "default_transition_sec"
+    return entry.number(key, 0, MOST_SECONDS)
 
 
 def _camera(entry, index, key="camera_to_world"):
@@ -154,11 +157,6 @@ def camera_path_data(poses, width, height, fps, keyframes=(), moments=()):
             for moment, (matrix, fov) in zip(moments, poses, strict=True)
         ],
     }  # fmt: skip
-
-
-def write_camera_path(path, data):
-    """Write data of `camera_path_data`; they replace the file whole or not at all."""
-    write_json(path, data)
 
 
 def _flat(matrix):

@@ -380,12 +380,6 @@ def mirrored_camera(camera, frame, level):
     The mirrored camera sees, pixel for pixel, what level water mirrors to the camera; its matrix
     holds a reflection. What lies below the water is cut away.
     """
-    plane, flip = mirror_at(frame, level)
-    return plane, camera.posed(camera.camera_from_world @ flip)
-
-
-def mirror_at(frame, level):
-    """Return plane (4,) and reflection (4, 4) of `mirrored_camera`, in the capture frame."""
     up = frame.up
     height = (level - frame.translation[2]) / frame.meters_per_unit  # along up, capture units
     flip = np.eye(4)
@@ -393,7 +387,7 @@ def mirror_at(frame, level):
     flip[:3, 3] = 2 * height * up
     plane = np.empty(4)
     plane[:3], plane[3] = up, height + MIRROR_CLEARANCE / frame.meters_per_unit
-    return plane, flip
+    return plane, camera.posed(camera.camera_from_world @ flip)
 
 
 def cropped(camera, window):

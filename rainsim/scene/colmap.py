@@ -108,12 +108,9 @@ def read_model(folder):
             f"{folder} holds no COLMAP model; it must have cameras and images, .bin or .txt; check "
             "the path"
         )
-    suffix = ".bin" if _has_model(found, ".bin") else ".txt"
-    lens_file, image_file = found / f"cameras{suffix}", found / f"images{suffix}"
-    if suffix == ".bin":
-        lenses, images = _read_binary(lens_file, _lenses), _read_binary(image_file, _images)
-    else:
-        lenses, images = _text_lenses(lens_file), _text_images(image_file)
+    lenses, image_file = _lenses_of(found)
+    binary = image_file.suffix == ".bin"
+    images = _read_binary(image_file, _images) if binary else _text_images(image_file)
     if not images:
         raise InputError(f"{image_file} has no images; it must have some; {REMEDY}")
     images = sorted(images, key=lambda image: image.name)
@@ -138,11 +135,15 @@ def read_lenses(folder):
     Returns set of (str, tuple of float). COLMAP's name of each model and its
         parameters after the principal point.
     """
-    found = find_model(folder)
-    suffix = ".bin" if _has_model(found, ".bin") else ".txt"
-    path = found / f"cameras{suffix}"
-    lenses = _read_binary(path, _lenses) if suffix == ".bin" else _text_lenses(path)
+    lenses, _ = _lenses_of(find_model(folder))
     return {(n.model, n.values[4 if MODELS[n.model][2] else 3 :]) for n in lenses.values()}
+
+
+def _lenses_of(found):
+    """Return the lenses of the model in a folder, by number, and the file of its images."""
+    if _has_model(found, ".bin"):
+        return _read_binary(found / "cameras.bin", _lenses), found / "images.bin"
+    return _text_lenses(found / "cameras.txt"), found / "images.txt"
 
 
 def _short_names(names):

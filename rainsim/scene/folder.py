@@ -37,6 +37,7 @@ from rainsim.io.files import (
 )
 from rainsim.scene.assumed_ground import ground_frame_of, of_stage
 from rainsim.scene.big import open_pages, require_home
+from rainsim.scene.camera_entry import Entry
 from rainsim.scene.cameras import JSON_FILES, cameras_from_data, cameras_to_data, load_cameras
 from rainsim.scene.colmap import find_model
 from rainsim.scene.formats import LEVEL, META, SUFFIXES, read_splats, sha256_of, trained_antialiased
@@ -393,7 +394,10 @@ def scene_to_data(scene):
 
 def scene_from_data(data, splats, where, name=""):
     """Return the Scene of splats and `scene_to_data`'s data; `where` names these in messages."""
-    cameras, notes = data.get("cameras"), data.get("notes")
+    cameras, notes, drains = data.get("cameras"), data.get("notes"), data.get("drains") or []
+    if drains:
+        count = len(drains) if isinstance(drains, list) else 1
+        drains = Entry(where, "scene", data).array("drains", (count, 3)).tolist()
     sun = number_array(data.get("captured_sun"), (3,))
     origin = number_array(data.get("origin"), (3,))
     return Scene(
@@ -403,24 +407,11 @@ def scene_from_data(data, splats, where, name=""):
         ground_frame=ground_frame_from_dict(data.get("ground_frame"), where),
         source_hash=printable_name(data.get("source_sha256", "")),
         notes=tuple(map(one_line, notes)) if isinstance(notes, list) else (),
-        drains=_read_drains(data.get("drains", []), where),
+        drains=tuple(map(tuple, drains)),
         antialiased=data.get("antialiased") is True,
         captured_sun=None if sun is None or not sun.any() else tuple((sun / norm(sun)).tolist()),
         origin=NOWHERE if origin is None else tuple(origin.tolist()),
     )
-
-
-def _read_drains(drains, path):
-    """Return the places of gratings that a scene file lists; older files list none."""
-    if drains == []:
-        return ()
-    places = number_array(drains, (len(drains), 3)) if isinstance(drains, list) else None
-    if places is None:
-        raise InputError(
-            f"{path}: drains must be a list of places of three finite numbers [capture units]; "
-            "import the scene again"
-        )
-    return tuple(map(tuple, places.tolist()))
 
 
 def _read_arrays(path):

@@ -20,6 +20,7 @@ from rainsim.errors import (
     shown,
 )
 from rainsim.io.files import MAX_LENGTH, json_number, number_array, read_json, write_json
+from rainsim.scene.camera_entry import Entry
 from rainsim.scene.ground_search import (
     UP_HINT_ANGLE,
     angle_between,
@@ -287,19 +288,12 @@ def ground_frame_to_dict(frame):
 
 def ground_frame_from_dict(data, source):
     """Return the GroundFrame that `data`, read from JSON in `source`, describes."""
-    if not isinstance(data, dict):
-        raise InputError(f"{source} holds no ground frame; write it with rainsim import")
-    rotation = _numbers(data, "rotation", (3, 3), source)
+    entry = Entry(source, "ground frame", data)
+    rotation = entry.array("rotation", (3, 3))
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
         raise InputError(
             f"{source}: the rotation's rows are not right-handed unit vectors at right angles; "
             "they must be the ground's x, y and z axes in the capture frame; correct the file"
-        )
-    scale = json_number(data.get("meters_per_unit"))
-    if scale is None or scale <= 0:
-        raise InputError(
-            f"{source}: meters_per_unit is {shown(data.get('meters_per_unit'))}; it must be a "
-            "positive number; correct the file"
         )
     confidence = json_number(data.get("confidence", 1.0))
     notes = data.get("notes", [])
@@ -308,24 +302,14 @@ def ground_frame_from_dict(data, source):
     try:
         return GroundFrame(
             rotation=rotation,
-            meters_per_unit=scale,
-            translation=_numbers(data, "translation", (3,), source),
+            meters_per_unit=entry.number("meters_per_unit", 0, MAX_LENGTH),
+            translation=entry.array("translation", (3,)),
             confidence=confidence,
             notes=tuple(one_line(note, MOST_NOTE) for note in notes),
             scale_assumed=data.get("scale_assumed") is True,
         )
     except ParameterError as error:
         raise InputError(f"{source}: {error}") from None
-
-
-def _numbers(data, key, shape, source):
-    value = number_array(data.get(key), shape)
-    if value is None:
-        raise InputError(
-            f"{source}: {key} is {shown(data.get(key))}; it must be finite numbers of shape "
-            f"{' x '.join(map(str, shape))}; correct the file"
-        )
-    return value
 
 
 def read_ground_frame(path, source_hash=""):

@@ -24,17 +24,12 @@ from rainsim.scene.types import Splats
 
 FOLDERS_VARIABLE = "RAINSIM_SCENES"  # folders of scenes, separated as in PATH
 ACTORS = "actor_"  # begins the names of the arrays of what moves
-KIND = "demo_scenes"  # of entries of `rainsim.io.cache`, and the room of their code
-DEMO_SCENES = "rainsim." + KIND
-BUILT_IN = {
-    "bicycle": ("rainsim.demo_scenes.bicycle", "make_bicycle"),
-    "street": ("rainsim.demo_scenes.street", "make_street"),
-    "traffic": ("rainsim.demo_scenes.traffic", "make_traffic"),
-}
-LONG = {  # built-in scenes that are made in any length: street:300
-    "street": ("rainsim.demo_scenes.street", "make_long_street"),
-    "traffic": ("rainsim.demo_scenes.traffic", "make_long_traffic"),
-}
+KIND = "demo_scenes"  # of entries of `rainsim.io.cache`
+BUILT_IN = {  # modules with make_bicycle and so on
+    "bicycle": "rainsim.demo_scenes.bicycle", "street": "rainsim.demo_scenes.street",
+    "traffic": "rainsim.demo_scenes.traffic",
+}  # fmt: skip
+LONG = ("street", "traffic")  # with make_long_street, too, for any length: street:300
 LENGTHS = 60.0, 500.0  # m: a longer street is more than one picture's memory holds
 
 
@@ -118,20 +113,18 @@ def load_scene(
 
 def _built_in(name):
     """Return a built-in scene: kept from an earlier run, or generated and kept for the next."""
-    kind, length = _long(name) or (name, None)
-    module, function = BUILT_IN[kind] if length is None else LONG[kind]
-    given = () if length is None else (length,)
+    kind, *length = _long(name) or (name,)
+    function = f"make_long_{kind}" if length else f"make_{kind}"
 
     def generated():
-        made = getattr(import_module(module), function)(*given)
+        made = getattr(import_module(BUILT_IN[kind]), function)(*length)
         arrays = {array: getattr(made.splats, array) for array in ARRAYS}
         if made.actors:
             actors = actors_to_arrays(made.actors)
             arrays |= {ACTORS + name: values for name, values in actors.items()}
         return scene_to_data(made), arrays
 
-    ours = module.startswith(f"{DEMO_SCENES}.")  # and not of somebody else's version
-    facts, arrays = cache.kept(KIND, generated, module, function, *given) if ours else generated()
+    facts, arrays = cache.kept(KIND, generated, function, *length)
     actors = {n.removeprefix(ACTORS): a for n, a in arrays.items() if n.startswith(ACTORS)}
     scene = scene_from_data(facts, Splats(**{n: arrays[n] for n in ARRAYS}), name)
     return with_actors(scene, actors_from_arrays(actors)) if actors else scene
@@ -192,7 +185,7 @@ def is_capture(name_or_path):
 def _long(name):
     """Return kind and length [m] of a built-in scene's name such as street:300, None of others."""
     kind, colon, text = name.partition(":")
-    if not colon or kind not in LONG or kind not in BUILT_IN:
+    if not colon or kind not in LONG:
         return None
     try:
         length = float(text)

@@ -23,6 +23,7 @@ DEFAULT_MEMORY = 0.6e9  # bytes
 PICTURE = 0.4  # of the memory, that the splats of a picture take at most
 READ = 0.15  # of the memory, for runs as they were read
 ALWAYS = -1  # number of the leaf that stands for the splats which are always drawn
+_READER = ThreadPoolExecutor(1)  # reads ahead
 
 
 class Pages:
@@ -82,7 +83,7 @@ class Pages:
             return
         missing = [key for key in wanted if not self.read.has(key)]
         if missing:
-            self._ahead = _reader().submit(self._read_all, missing)
+            self._ahead = _READER.submit(self._read_all, missing)
 
     def overview(self):
         """Return the whole scene as `Splats`, as fine as few splats allow, and their level."""
@@ -157,17 +158,6 @@ class Change:
 
     gone: object
     added: Splats
-
-
-def _reader():
-    """Return the thread that reads ahead."""
-    global _pool
-    if _pool is None:
-        _pool = ThreadPoolExecutor(1)
-    return _pool
-
-
-_pool = None
 
 
 def _usable(tree, name, splats, good):

@@ -16,22 +16,20 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
 
 from rainsim.constants import SH_0
 from rainsim.errors import InputError
-from rainsim.io.files import require_file
 from rainsim.scene.activate import (
     MAX_BROKEN_SHARE,
     REST_COEFFICIENTS,
     ROWS_PER_STEP,
     activate_rows,
-    dropped_note,
     empty_splats,
-    keep_good,
     require_few_broken,
 )
 from rainsim.scene.origin import NOWHERE, SAMPLE, origin_note, whole_origin
-from rainsim.scene.plyheader import REMEDY, Element, header_of, read_header
+from rainsim.scene.plyheader import REMEDY, Element, header_of
 
 POSITION = ("x", "y", "z")
 BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -55,31 +53,12 @@ class _Layout:
     shader: bool
 
 
-def read_splats(path):
-    """Read an uncompressed splat PLY file, found by its content and not by its name.
-
-    path : path-like
-    Returns splats : Splats. Activated: linear scales, opacity in [0, 1], unit
-        quaternions.
-        notes : list of str. What was converted or dropped, one line each; usually
-            empty.
-    Raises InputError if it is no such file, is shorter than its header promises,
-        or holds more than 1 % of splats with values that are not finite.
-    """
-    path = require_file(path, "a splat PLY")
-    with open(path, "rb") as file:
-        header = read_header(path, file)
-    return read_plain(path, header, MAX_BROKEN_SHARE)[:2]
-
-
-def read_plain(path, header, max_broken):
-    """Return the Splats of an uncompressed PLY, notes and how many splats were dropped."""
+def read_plain(path, header):
+    """Return the Splats of an uncompressed PLY, which are usable, and notes."""
     vertex = _require_splats(path, header)
     layout, origin = _layout(path, vertex), _origin(path, vertex)
     splats, good = _read_rows(path, vertex, layout, origin)
-    splats, broken = keep_good(path, splats, good, max_broken)
-    dropped = dropped_note(broken, len(splats))
-    return splats, [*_variant_notes(layout), *dropped, *origin_note(origin)], broken
+    return splats, good, [*_variant_notes(layout), *origin_note(origin)]
 
 
 def origin_of(path):
@@ -98,7 +77,7 @@ def _origin(path, vertex):
 
 
 def plain_blocks(path, header, rows=BLOCK):
-    """Yield the Splats of an uncompressed PLY in parts of `rows`; InputError as `read_splats`."""
+    """Yield the Splats of an uncompressed PLY in parts of `rows`; InputError as for a whole."""
     vertex = _require_splats(path, header)
     layout, broken, origin = _layout(path, vertex), 0, _origin(path, vertex)
     for start in range(0, vertex.count, rows):
@@ -107,7 +86,7 @@ def plain_blocks(path, header, rows=BLOCK):
         splats, good = _read_rows(path, part, layout, origin)
         broken += len(good) - int(np.count_nonzero(good))
         yield splats if good.all() else splats.take(good)
-    require_few_broken(path, broken, vertex.count)
+    require_few_broken(path, broken, vertex.count, MAX_BROKEN_SHARE)
 
 
 # --- what the rows hold ---------------------------------------------------------------------------
@@ -123,7 +102,7 @@ def _require_splats(path, header):
         )
     if vertex is None:
         raise InputError(f"{path} has no vertex element; splats are stored as vertices; {REMEDY}")
-    _require_properties(path, header, vertex.names)
+    _require_properties(path, vertex.names)
     if vertex.offset is None:
         raise InputError(f"{path} has lists before its vertices; that is no splat PLY; {REMEDY}")
     if vertex.row is None:
@@ -132,9 +111,7 @@ def _require_splats(path, header):
     return vertex
 
 
-def _require_properties(path, header, names):
-    if header.compressed:
-        raise InputError(f"{path} is a compressed PLY; its splats must be uncompressed; {REMEDY}")
+def _require_properties(path, names):
     missing = [name for name in REQUIRED if name not in names and name != SCALE[2]]
     if not missing:
         return
@@ -179,7 +156,6 @@ def _variant_notes(layout):
 
 def _read_rows(path, vertex, layout, origin):
     """Return the activated Splats and a mask of those whose values are all usable."""
-    taken = dict(zip(POSITION, origin, strict=True))
     splats = empty_splats(vertex.count, layout.coefficients)
     good = np.empty(vertex.count, bool)
 
@@ -191,59 +167,43 @@ def _read_rows(path, vertex, layout, origin):
         if len(rows) < count:
             raise InputError(f"{path} became shorter while it was read; try again")
         part = slice(start, start + count)
-        good[part] = _activate(_columns(rows, taken), layout, splats, part)
+        good[part] = _activate(rows, layout, origin, splats, part)
 
     with ThreadPoolExecutor(READERS) as pool:  # numpy works outside Python's lock
         list(pool.map(read_part, range(0, vertex.count, ROWS_PER_STEP)))
     return splats, good
 
 
-def _columns(rows, taken):
-    """Return a function from property names to their float32 values of shape (n, names)."""
-    fields = rows.dtype.fields
-    if all(kind == np.dtype("<f4") for kind, _ in fields.values()):
-        table = rows.view("<f4").reshape(len(rows), -1)
-        place = {name: offset // 4 for name, (_, offset) in fields.items()}
-
-        def pick(names):
-            first = place[names[0]]
-            if [place[name] for name in names] == list(range(first, first + len(names))):
-                return table[:, first : first + len(names)]  # no copy in the usual order
-            return table[:, [place[name] for name in names]]
-
-        return pick
-
-    def convert(names):
-        with np.errstate(all="ignore"):  # what float32 cannot hold is counted as broken
-            columns = (rows[name] - taken.get(name, 0.0) for name in names)
-            return np.stack([column.astype(np.float32) for column in columns], axis=1)
-
-    return convert
+def _columns(rows, names, origin=0.0):
+    """Return columns as float32 of shape (n, names), less the float64 `origin` if there is one."""
+    table = structured_to_unstructured(rows[list(names)])  # no copy in the usual order
+    with np.errstate(all="ignore"):  # what float32 cannot hold is counted as broken
+        return (table - origin if np.any(origin) else table).astype(np.float32, copy=False)
 
 
-def _activate(pick, layout, splats, part):
+def _activate(rows, layout, origin, splats, part):
     """Fill rows `part` of `splats` in place; return which of them are usable."""
-    base, rest = pick(BASE_COLOR), None
+    base, rest = _columns(rows, BASE_COLOR), None
     if layout.shader:
         base = _shader_base(base)
     if layout.coefficients > 1:
         bands = layout.coefficients - 1
-        rest = pick([f"f_rest_{i}" for i in range(3 * bands)])
+        rest = _columns(rows, [f"f_rest_{i}" for i in range(3 * bands)])
         rest = rest.reshape(-1, 3, bands).transpose(0, 2, 1)
-    log_scale = pick(SCALE[:2] if layout.disc else SCALE)
+    log_scale = _columns(rows, SCALE[:2] if layout.disc else SCALE)
     if layout.disc:
         thin = log_scale.min(axis=1, keepdims=True) + np.float32(np.log(DISC_THICKNESS))
         log_scale = np.concatenate([log_scale, thin], axis=1)
     return activate_rows(
         splats,
         part,
-        position=pick(POSITION),
+        position=_columns(rows, POSITION, origin),
         log_scale=log_scale,
-        turn=pick(ROTATION),
-        logit=pick(("opacity",))[:, 0],
+        turn=_columns(rows, ROTATION),
+        logit=_columns(rows, ["opacity"])[:, 0],
         base=base,
         rest=rest,
-        widen=pick((FILTER,))[:, 0] if layout.filtered else None,
+        widen=_columns(rows, [FILTER])[:, 0] if layout.filtered else None,
     )
 
 

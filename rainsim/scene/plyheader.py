@@ -80,8 +80,6 @@ class Header:
 def read_header(path, file):
     """Return the Header of the PLY file that is open as `file`, or raise InputError."""
     start = file.read(HEADER_LIMIT)
-    if not start.startswith((b"ply\n", b"ply\r")):
-        raise InputError(f"{path} is not a PLY file{_kind(start)}; {REMEDY}")
     end = start.find(b"\nend_header")
     stop = start.find(b"\n", end + 1)
     if end < 0 or stop < 0:
@@ -111,14 +109,6 @@ def header_of(path):
             return None
         file.seek(0)
         return read_header(path, file)
-
-
-def _kind(start):
-    if start.startswith(b"PK\x03\x04"):
-        return " (it looks like a zip archive, perhaps SOG)"
-    if start.startswith(b"\x1f\x8b"):
-        return " (it looks like gzip, perhaps SPZ)"
-    return "" if start.strip() else " (it is empty)"
 
 
 def _parse(path, text):

@@ -4,14 +4,14 @@ Two valid files need not be of one place: cameras of another capture, splats tha
 or scaled on export. What the cameras see tells it before anything is computed.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from rainsim.errors import InputError, ParameterError, require_choice
-from rainsim.io.files import json_number, number_array, read_json
+from rainsim.io.files import MAX_LENGTH, read_json
+from rainsim.scene.camera_entry import Entry
 from rainsim.scene.formats.spz import UNSAID, half_turned
 from rainsim.scene.plyheader import header_of
+from rainsim.scene.types import pose_at
 from rainsim.scene.view import camera_points, image_point
 
 SAMPLE = 20_000  # splats that are looked for in each camera's picture
@@ -135,32 +135,24 @@ def in_nerfstudio_frame(splat_file, camera_file, cameras):
             f"transforms.json are in it only with the run's {DATAPARSER} beside the splats "
             "(outputs/NAME/METHOD/TIME/); copy it there"
         ]
-    data = read_json(file, "a nerfstudio transform")
-    data = data if isinstance(data, dict) else {}
-    matrix, scale = number_array(data.get("transform"), (3, 4)), json_number(data.get("scale"))
-    before = cameras_data.get("applied_transform", np.eye(4)[:3].tolist())
-    before = number_array(before, (3, 4))
-    scale_before = json_number(cameras_data.get("applied_scale", 1.0))
-    for name, turn in ((DATAPARSER, matrix), (camera_file.name, before)):
-        if turn is None or abs(abs(np.linalg.det(turn[:, :3])) - 1) > 1e-3:
-            raise InputError(
-                f"{file.parent / name}: its transform is no rotation and translation of 3 x 4 "
-                "numbers; copy the file of the run again"
-            )
-    if not scale or scale < 0 or not scale_before or scale_before < 0:
-        raise InputError(f"{file}: its scale must be above 0; copy the file of the run again")
+    entry = Entry(file, "transform", read_json(file, "a nerfstudio transform"))
+    usual = {"applied_transform": np.eye(3, 4), "applied_scale": 1.0}
+    applied = Entry(camera_file, "transform", cameras_data, usual)
+    matrix, before = entry.array("transform", (3, 4)), applied.array("applied_transform", (3, 4))
+    for own, key, values in (entry, "transform", matrix), (applied, "applied_transform", before):
+        if abs(abs(np.linalg.det(values[:, :3])) - 1) > 1e-3:
+            raise own.error(key, "a rotation and translation")
+    scale = entry.number("scale", 0, MAX_LENGTH)
+    scale_before = applied.number("applied_scale", 0, MAX_LENGTH)
     turn = matrix[:, :3] @ np.linalg.inv(before[:, :3])
     shift, scale = matrix[:, 3] - turn @ before[:, 3], scale / scale_before
-    return [_moved(camera, turn, shift, scale) for camera in cameras], [
+    moved = []
+    for camera in cameras:
+        place = scale * (turn @ camera.position + shift)
+        moved.append(camera.posed(pose_at(camera.camera_from_world[:3, :3] @ turn.T, place)))
+    return moved, [
         f"cameras are in the frame of nerfstudio's splats, by {DATAPARSER} (scale {scale:.4g})"
     ]
-
-
-def _moved(camera, turn, shift, scale):
-    pose = np.eye(4)
-    pose[:3, :3] = camera.camera_from_world[:3, :3] @ turn.T
-    pose[:3, 3] = -pose[:3, :3] @ (scale * (turn @ camera.position + shift))
-    return replace(camera, camera_from_world=pose)
 
 
 def _is_nerfstudio(splat_file):

@@ -59,8 +59,6 @@ class Splats:
     def take(self, which):
         """Return the splats that the slice, index or mask array `which` selects."""
         arrays = (self.position, self.rotation, self.scale, self.opacity, self.sh)
-        if isinstance(which, slice):
-            return Splats(*(np.ascontiguousarray(a[which]) for a in arrays))
         index = np.arange(len(self))[which]
         return Splats(*(np.take(a, index, axis=0) for a in arrays))
 
@@ -117,10 +115,7 @@ class Camera:
 
     def posed(self, camera_from_world):
         """Return the camera with another pose, a matrix (4, 4)."""
-        return Camera(  # in a tenth of the time that `dataclasses.replace` takes
-            self.width, self.height, self.fx, self.fy, self.cx, self.cy, camera_from_world,
-            self.name, self.orthographic,
-        )  # fmt: skip
+        return replace(self, camera_from_world=camera_from_world)
 
     def resized(self, width, height):
         """Return the camera with the picture scaled to `width` x `height` px.

@@ -7,7 +7,6 @@ in the ground frame (x and y level, z up) unless a name says otherwise; the came
 the right, y down and z along the view axis.
 """
 
-from functools import lru_cache, wraps
 from typing import NamedTuple
 
 import numpy as np
@@ -47,33 +46,6 @@ def view_of(camera):
 
 
 # ---- the pinhole, for arrays
-
-
-class Lens(NamedTuple):
-    """What a `Camera` is without its pose."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-
-
-def kept_for_lens(function):
-    """Let a function of a camera's lens compute its array, read-only, once for a moving camera."""
-
-    @lru_cache(16)
-    def of_lens(lens):
-        found = function(lens)
-        found.flags.writeable = False
-        return found
-
-    @wraps(function)
-    def kept(c):
-        return of_lens(Lens(c.width, c.height, c.fx, c.fy, c.cx, c.cy))
-
-    return kept
 
 
 def lens_array(camera):
@@ -118,14 +90,12 @@ def pixel_rays(camera):
     return rays(camera, u, v)
 
 
-@kept_for_lens
 def corner_rays(camera):
     """Return the `rays` through a picture's corners: both left ones, then both right ones."""
     u, v = np.array([[u, v] for u in (0.0, camera.width) for v in (0.0, camera.height)]).T
     return rays(camera, u, v)
 
 
-@kept_for_lens
 def edge_planes(camera):
     """Return inward unit normals (4, 3) of a picture's left, right, top and bottom edges."""
     planes = np.array(

@@ -5,15 +5,14 @@ import sys
 
 import numpy as np
 
-from rainsim import __version__, output_folder
+from rainsim import __version__
 from rainsim.actors.motion import Motion
 from rainsim.config.settings import mm_per_hour
 from rainsim.drops import Weather
-from rainsim.errors import ParameterError
-from rainsim.io.files import card_in, replacing, write_json
-from rainsim.io.fingerprint import fingerprint
-from rainsim.io.journal import Journal
+from rainsim.io.files import replacing, write_json
 from rainsim.lod.held_parts import scene_in_reach
+from rainsim.output_folder.card_folder import CardFolder
+from rainsim.output_folder.facts import input_facts, scene_content, settings_content, versions
 from rainsim.pipeline import extract_terrain, simulate
 from rainsim.render.actor_labels import box_in_space
 from rainsim.render.weather import weather_of
@@ -36,47 +35,23 @@ OURS = re.compile(
 SAMPLES = 2000  # targets that LISA's expectation is averaged over
 
 
-class LidarFolder:
-    """A folder of turns of a kind ("kitti", "pcd", "ply"), claimed by the caller.
+class LidarFolder(CardFolder):
+    """A folder of turns of a kind ("kitti", "pcd", "ply").
 
     It may hold an earlier result, whose files are removed, if `overwrite` is set, and an unfinished
-    scan, which `resume` goes on with. `kept` has the journal's entries of the turns that need not
-    be scanned.
+    scan, which `resume` goes on with.
     """
 
     def __init__(self, folder, kind, overwrite=False, resume=False):
-        self.folder, self.kind, self.files, self.kept = folder, kind, [], {}
-        self._journal = Journal(folder, JOURNAL, OURS.fullmatch)
-        self._before, self._resumes = card_in(folder / CARD), resume
-        if (overwrite or resume) and self._before is None:
-            if found := output_folder.others_in(folder):
-                raise ParameterError(
-                    f"output folder {folder} holds {found[0]} and no turns of a lidar; --overwrite "
-                    "and --resume replace those only; give another --out"
-                )
+        what = "scan of a lidar"
+        super().__init__(folder, CARD, JOURNAL, OURS.fullmatch, what, overwrite, resume)
+        self.kind, self.files = kind, []
 
     def begin(self, content, count):
-        """Find what is kept of a scan of `count` turns, or remove an earlier one's files."""
-        self.fingerprint, before = fingerprint(content), self._before or {}
-        if self._resumes and before:
-            if before.get("fingerprint") != self.fingerprint:
-                raise ParameterError(
-                    f"the scan in {self.folder} was another: other scene, sensor, rains, place, "
-                    "settings or version; --resume goes on with the very same scan only; give "
-                    "another --out, or --overwrite to replace its turns"
-                )
-            found = self._journal.finished(range(count)).items()
-            self.kept = {n: entry for n, entry in found if _has_facts(entry)}
-        noted = [name for e in self._journal.entries().values() for name in e["files"]]
-        kept = {name for entry in self.kept.values() for name in entry["files"]}
-        for name in {*noted, *before.get("files", ())} - kept:
-            if isinstance(name, str) and OURS.fullmatch(name):
-                (self.folder / name).unlink(missing_ok=True)
-        output_folder.remove_temporary(self.folder)
-        if self.kept:
-            self._journal.begin_line()
-        else:
-            self._journal.path.unlink(missing_ok=True)
+        """Find what is kept of a scan of `count` turns, and remove an earlier one's other files."""
+        self.find_kept(content, count)
+        self.kept = {n: entry for n, entry in self.kept.items() if _has_facts(entry)}
+        self.clear()
         self._write_card({"complete": False})  # a scan that is killed can be gone on with
 
     def finish(self, card):
@@ -84,7 +59,7 @@ class LidarFolder:
         self._write_card({**card, "complete": True, "files": sorted([*self.files, JOURNAL])})
 
     def _write_card(self, facts):
-        write_json(self.folder / CARD, WRITER | {"fingerprint": self.fingerprint} | facts)
+        write_json(self.card_file, WRITER | {"fingerprint": self.fingerprint} | facts)
 
     def keep(self, number):
         """Return the journal's entry of a turn that is kept, None if it is to be scanned."""
@@ -104,7 +79,7 @@ class LidarFolder:
             files = {f"points/{turn:06d}.ply": point_files.ply_bytes(scan)}
         for name, content in files.items():
             self.write(f"{where}/{name}", content)
-        self._journal.add(number, [f"{where}/{name}" for name in files], **facts)
+        self.journal.add(number, [f"{where}/{name}" for name in files], **facts)
 
     def write(self, name, content):
         """Write a file of bytes."""
@@ -138,8 +113,8 @@ def scan_rains(
     way = [_moved(pose, turn / lidar.rate).position for turn in range(turns + 1)]
     scanner = LidarScanner(_in_reach(scene, way, lidar, say), terrain, albedo)
     folder.begin({
-        "scene": output_folder.scene_content(scene),
-        "settings": output_folder.settings_content(config), "rates": list(rates),
+        "scene": scene_content(scene),
+        "settings": settings_content(config), "rates": list(rates),
         "sensor": sensor, "kind": folder.kind, "turns": turns, "speed": speed, "height": height,
         "place": pose.position.tolist(), "turn": pose.rotation.tolist(),
     }, turns * len(rates))  # fmt: skip
@@ -147,15 +122,15 @@ def scan_rains(
     for rate in rates:
         own = config.replace(rate=mm_per_hour(rate), frames=turns, fps=lidar.rate)
         own = own if rate > 0 else own.replace(past=0.0, level=None)
-        weather, states = Weather(own.check()), simulate(terrain, own)
-        where, counts, shares, ahead = f"rain/{rate:g}mm" if rate > 0 else "clear", {}, [], -1
+        weather, states, state = Weather(own.check()), simulate(terrain, own), None
+        where, counts, shares = f"rain/{rate:g}mm" if rate > 0 else "clear", {}, []
         for turn in range(turns):
             begin = turn / lidar.rate
             field = weather.field(begin, begin + 1 / lidar.rate)
             facts = folder.keep(done)
             if facts is None:
-                while ahead < turn:  # each state follows from the one before
-                    state, ahead = next(states), ahead + 1
+                while state is None or state.index < turn:  # each follows from the one before
+                    state = next(states)
                 # Noise of its own for each turn and rain, whatever is scanned besides.
                 rng = np.random.default_rng([own.rain.seed, turn, round(rate * 1e6)])
                 damp = paving_dampness(own.at(begin)) if rate > 0 else 0.0
@@ -174,8 +149,8 @@ def scan_rains(
     folder.write("poses.txt", "".join(lines).encode())
     card = {
         "command": ["rainsim", *sys.argv[1:]],
-        "versions": output_folder.versions(),
-        "input": output_folder.input_facts(scene, folder.folder), "sensor": sensor,
+        "versions": versions(),
+        "input": input_facts(scene, folder.folder), "sensor": sensor,
         "channels": len(lidar.elevation), "columns": lidar.columns, "far_m": lidar.far,
         "turns_per_s": lidar.rate, "divergence_rad": lidar.divergence, "speed_m_per_s": speed,
         "labels": {str(k): name for k, name in LABEL_NAMES.items()},

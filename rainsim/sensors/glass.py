@@ -179,33 +179,24 @@ def caps_on(field, pane, camera, seed):
 def _settled(place, volume, pane, slope):
     """Return the `Caps` after drops have arrived one by one, flowed together and run off."""
     angle = pane.contact_angle
-    drops, count = np.empty((4, max(len(place), 1))), 0  # x, y, volume, radius of those there now
+    there = np.empty((4, 0))  # x, y, volume and radius of the drops that are there now
     for at, amount in zip(place, volume, strict=True):
         at = at.copy()
         while True:  # what touches it flows together with it
             own = float(cap_radius(amount, angle))
-            x, y, held, radius = drops[:, :count]
+            x, y, held, radius = there
             touch = np.hypot(x - at[0], y - at[1]) < radius + own
             if not touch.any():
                 break
             total = amount + held[touch].sum()
             at[0] = (at[0] * amount + (x[touch] * held[touch]).sum()) / total
             at[1] = (at[1] * amount + (y[touch] * held[touch]).sum()) / total
-            amount, count = total, _leave(drops, count, touch)
+            amount, there = total, there[:, ~touch]
         if WEIGHT * amount * slope < HOLD * TENSION * 2 * own:
-            drops[:, count] = *at, amount, own
-            count += 1
+            there = np.append(there, [[at[0]], [at[1]], [amount], [own]], axis=1)
         else:  # it runs off and takes along what is below
-            count = _leave(drops, count, (np.abs(x - at[0]) < own + radius) & (y > at[1]))
-    x, y, _, radius = drops[:, :count].copy()
-    return Caps(np.column_stack([x, y]), radius, len(place))
-
-
-def _leave(drops, count, gone):
-    """Take drops out of the first `count` columns of a table, in place; return how many stay."""
-    stay = drops[:, :count][:, ~gone]
-    drops[:, : stay.shape[1]] = stay
-    return stay.shape[1]
+            there = there[:, (np.abs(x - at[0]) >= own + radius) | (y <= at[1])]
+    return Caps(np.ascontiguousarray(there[:2].T), there[3], len(place))
 
 
 def refracted(rays, point, place, centre, radius, pane):

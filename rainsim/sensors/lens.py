@@ -77,7 +77,11 @@ class Lens:
         r2 = x * x + y * y
         if self.model in ("division", "eucm"):
             with np.errstate(invalid="ignore"):  # NaN where the lens sees nothing
-                scale = self._division(r2) if self.model == "division" else self._unified(r2)
+                if self.model == "division":  # the root that is 1 on the axis
+                    scale = 2 / (1 + np.sqrt(1 - 4 * self.values[0] * r2))
+                else:
+                    alpha, beta = self.values
+                    scale = 1 / (alpha * np.sqrt(beta * r2 + 1) + 1 - alpha)
             return x * scale, y * scale
         k1, k2, p1, p2, k3 = (*self.values, 0.0)[:5]
         radial = _polynomial((k1, k2, k3), r2)
@@ -85,15 +89,6 @@ class Lens:
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         )
-
-    def _division(self, squared):
-        """Return distorted over pinhole distance; the root that is 1 on the axis."""
-        return 2 / (1 + np.sqrt(1 - 4 * self.values[0] * squared))
-
-    def _unified(self, squared):
-        """Return distorted over pinhole distance."""
-        alpha, beta = self.values
-        return 1 / (alpha * np.sqrt(beta * squared + 1) + 1 - alpha)
 
     def undistort(self, x, y):
         """Return the pinhole's place of a distorted one, NaN where there is none.
@@ -157,16 +152,14 @@ class Lens:
 
     def _unbent(self, x, y):
         bent = np.hypot(x, y)
-        angle = bent.copy()
+        angle, rising = bent.copy(), [(2 * k + 3) * c for k, c in enumerate(self.values)]
         with np.errstate(all="ignore"):
-            for _ in range(STEPS):
+            for step in range(STEPS + 1):
                 squared = angle * angle
-                slope = _polynomial([(2 * k + 3) * c for k, c in enumerate(self.values)], squared)
-                angle = angle - (angle * _polynomial(self.values, squared) - bent) / slope
-            off = np.abs(angle * _polynomial(self.values, angle * angle) - bent)
-            squared = angle * angle
-            slope = _polynomial([(2 * k + 3) * c for k, c in enumerate(self.values)], squared)
-            good = (off < 1e-8) & (angle >= 0) & (angle < math.pi / 2) & (slope > 0)
+                off = angle * _polynomial(self.values, squared) - bent
+                slope = _polynomial(rising, squared)
+                angle = angle - off / slope if step < STEPS else angle
+            good = (np.abs(off) < 1e-8) & (angle >= 0) & (angle < math.pi / 2) & (slope > 0)
             scale = np.where(bent > 1e-12, np.tan(angle) / np.maximum(bent, 1e-12), 1.0)
         scale = np.where(good, scale, np.nan)
         return x * scale, y * scale

@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from rainsim.errors import InputError, ParameterError, shown
-from rainsim.io.files import json_number, read_json
+from rainsim.errors import InputError, ParameterError
+from rainsim.io.files import MAX_LENGTH, read_json
+from rainsim.scene.camera_entry import Entry
 from rainsim.scene.colmap import find_model, read_lenses
 from rainsim.sensors.lens import Lens, lens_of
 
@@ -63,17 +64,13 @@ def _of_transforms(path):
         raise InputError(f"{path} has no list named frames; it must be a transforms.json")
     lenses = set()
     for number, frame in enumerate(frames):
-        own = {**data, **(frame if isinstance(frame, dict) else {})}
-        fisheye = own.get("camera_model") == "OPENCV_FISHEYE"
+        entry = Entry(path, f"frame {number}", frame, data)
+        fisheye = entry.get("camera_model") == "OPENCV_FISHEYE"
         keys = FISHEYE_KEYS if fisheye else OPENCV_KEYS
-        given = {key: own[key] for key in keys if own.get(key) is not None}
-        for key, value in given.items():
-            if json_number(value) is None:
-                raise InputError(
-                    f"{path} frame {number}: {key} is {shown(value)}; it must be a number; correct "
-                    "the file"
-                )
-        values = tuple(float(given.get(key, 0.0)) for key in keys)
+        values = tuple(
+            0.0 if entry.get(key) is None else entry.number(key, -MAX_LENGTH, MAX_LENGTH)
+            for key in keys
+        )
         bent = any(values) or fisheye
         lenses.add(Lens("fisheye" if fisheye else "opencv", values) if bent else None)
     return lenses

@@ -20,13 +20,15 @@ from rainsim.render.shutter import motion_of
 from rainsim.scene.view import slopes
 from rainsim.sensors.glass import Pane, caps_on, pane_window, through_glass, wide_camera
 from rainsim.sensors.lens import Lens, lens_warp
-from rainsim.sensors.rolling import Motion, check_readout, check_rows, draw_rolling
+from rainsim.sensors.rolling import Motion, boxed, check_readout, check_rows, draw_rolling
 from rainsim.shading.composite import encode
 
 MOST_SAMPLES = 256
 LIGHT, FLOWS = "display white", ("flow", "flow_mask", "drop_flow")
-KEYS = {"opencv": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3", "k4")}
-MODEL_NAMES = {"opencv": "OPENCV", "fisheye": "OPENCV_FISHEYE"}  # in a transforms.json
+KEYS = {  # in a transforms.json
+    "opencv": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3", "k4"),
+    "division": ("k",), "eucm": ("alpha", "beta"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,8 @@ def lens_keys(lens):
     if lens is None:
         return {}
     named = dict(zip(KEYS[lens.model], lens.values, strict=False))
-    return {"camera_model": MODEL_NAMES[lens.model], **named}
+    model = "OPENCV_FISHEYE" if lens.model == "fisheye" else lens.model.upper()
+    return {"camera_model": model, **named}
 
 
 class Warps:
@@ -175,8 +178,9 @@ class Taking:
                 if self._exr is not None:
                     report = replace(report, parts=light_parts_of(report, self._exr.colorspace))
             if self.optics.pane is not None:
-                picture, report = self._behind_glass(renderer, self._path[index], state, picture,
-                                                     report)  # fmt: skip
+                pane, here = self.optics.pane, self._path[index]
+                picture, _, _, count = behind_glass(renderer, here, state, pane, picture)
+                report = replace(report, facts={**report.facts, "drops_on_glass": count})
             warp = self._warps.of(self._cameras[index], self.optics.lens)
             yield (picture, report) if warp is None else warped_frame(warp, picture, report)
 
@@ -200,7 +204,10 @@ class Taking:
         frame = conductor.wet_scene.frame
         light = [name for name in self._names if is_mean(name)]
         light = tuple(dict.fromkeys(("beauty", *light)))
-        total, stages = Mean(), {}
+        total, stages, parts = {}, {}, None
+
+        def add(key, values):
+            total[key] = total.get(key, 0.0) + values.astype(np.float64)
 
         def take(after, names):
             begin, end = motion.at(here, after), None
@@ -218,13 +225,17 @@ class Taking:
             for k in range(count):
                 report = take((k + 0.5) * share, light)
                 if self._exr is not None:
-                    total.add("parts", light_parts_of(report, self._exr.colorspace))
-                total.add("aovs", {name: linear_of(name, report.aovs[name]) for name in light})
+                    parts = light_parts_of(report, self._exr.colorspace)
+                    for part, channels in parts.items():
+                        for name, values in channels.items():
+                            add((part, name), values)
+                for name in light:
+                    add(name, linear_of(name, report.aovs[name]))
             if not all(is_mean(name) for name in self._names):  # others are of one time
                 report = take(exposure / 2, self._names)
         finally:
             conductor.take_settings(whole)
-        means = total.of("aovs")
+        means = {key: values * (1 / count) for key, values in total.items()}
         picture = np.empty(means["beauty"].shape, np.uint8)
         encode(means["beauty"].astype(np.float32).ravel(), picture.ravel())
         aovs = {name: report.aovs[name] for name in self._names if name not in means}
@@ -232,47 +243,14 @@ class Taking:
         facts = dict(report.facts)
         if "weather" in facts:
             facts["weather"] = {**facts["weather"], "exposure_s": exposure}
-        parts = None
-        if self._exr is not None:
-            parts = {part: {name: half_or_float(values) for name, values in channels.items()}
-                     for part, channels in total.of("parts").items()}  # fmt: skip
+        parts = parts and {
+            part: {name: half_or_float(means[part, name]) for name in channels}
+            for part, channels in parts.items()
+        }
         return picture, replace(
             report, time=state.time, milliseconds=stages, facts=facts, parts=parts,
             aovs={name: aovs[name] for name in self._names},
         )  # fmt: skip
-
-    def _behind_glass(self, renderer, here, state, picture, report):
-        """Return picture and report behind the glass, on which it has rained since the start."""
-        picture, _, _, count = behind_glass(renderer, here, state, self.optics.pane, picture)
-        return picture, replace(report, facts={**report.facts, "drops_on_glass": count})
-
-
-class Mean:
-    """Means of arrays by name, in bundles."""
-
-    def __init__(self):
-        self._sums, self._counts = {}, {}
-
-    def add(self, bundle, values):
-        """Add arrays, a dict of them or of dicts of them."""
-        self._sums[bundle] = _added(self._sums.get(bundle), values)
-        self._counts[bundle] = self._counts.get(bundle, 0) + 1
-
-    def of(self, bundle):
-        """Return the means of a bundle."""
-        return _scaled(self._sums[bundle], 1 / self._counts[bundle])
-
-
-def _added(total, values):
-    if isinstance(values, dict):
-        return {k: _added(None if total is None else total[k], v) for k, v in values.items()}
-    return values.astype(np.float64) if total is None else total + values
-
-
-def _scaled(total, factor):
-    if isinstance(total, dict):
-        return {name: _scaled(values, factor) for name, values in total.items()}
-    return total * factor
 
 
 def is_mean(name):
@@ -356,11 +334,7 @@ def warped_layers(warp, layers):
 
 def warped_facts(facts, found):
     """Return a frame's facts with the boxes of the warped layers `found`."""
-    facts = dict(facts)
-    for kind, name in (("puddles", "puddle_id"), ("splashes", "splash_id")):
-        if name in found:
-            known = {entry["id"]: entry for entry in facts.get(kind, ())}
-            facts[kind] = [{**known.get(box["id"], {}), **box} for box in boxes_of(found[name])]
+    facts = facts | boxed(found, [facts])
     if "actor_id" in found:
         seen = {box["id"]: box for box in boxes_of(found["actor_id"])}
         facts["actors"] = [

@@ -14,7 +14,7 @@ from rainsim.sensors.lidar_model import LOST
 FIELDS = (("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("time", "<f4"),
           ("label", "<u4"))  # fmt: skip
 PCD_KIND = {"f": "F", "u": "U"}
-PLY_KIND = {"<f4": "float", "<u4": "uint"}
+PLY_KIND = {"<f4": "float", "<u4": "uint", "|u1": "uchar"}
 
 
 def kitti_bin(scan):
@@ -66,9 +66,13 @@ def pcd_bytes(scan, channels):
 
 def ply_bytes(scan):
     """Return a binary PLY of the echoes."""
-    rows = rows_of(scan, lost_too=False)
+    return ply_of(rows_of(scan, lost_too=False))
+
+
+def ply_of(rows):
+    """Return a binary PLY of points, a structured array."""
     header = "\n".join([
         "ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}",
-        *(f"property {PLY_KIND[kind]} {name}" for name, kind in fields_of(scan)), "end_header", "",
+        *(f"property {PLY_KIND[kind]} {name}" for name, kind in rows.dtype.descr), "end_header", "",
     ])  # fmt: skip
     return header.encode() + rows.tobytes()

@@ -16,6 +16,7 @@ from rainsim.config.preset_files import nearest, parsed_toml
 from rainsim.errors import InputError, ParameterError, shown
 from rainsim.io.files import json_number, read_text
 from rainsim.render.shutter import motion_to_next, moved
+from rainsim.scene.camera_entry import Entry
 from rainsim.scene.types import Camera
 from rainsim.sensors.lens_files import lens_named
 from rainsim.sensors.lidar import pose_at
@@ -32,6 +33,8 @@ KEYS = {
     "lidar": (*COMMON, "sensor"),
 }
 PLACED = "path_camera", "level"  # keys of the table [vehicle]
+USUAL = {"look": [0, 0, 0], "offset": 0, "rolling": 0, "sensor": "hdl64", "level": True,
+         "path_camera": [0, 0, 0]}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -141,12 +144,12 @@ def read_rig(path, fps):
         if key not in (*KEYS, "vehicle"):
             known = nearest(key, [*KEYS, "vehicle"])
             raise InputError(f"{path} has a table {shown(key)}; no rig has one; {known}")
-    sensors = []
+    sensors, usual = [], {**USUAL, "rate": fps}
     for kind in KEYS:
         tables = data.get(kind, [])
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise InputError(f"{path}: {kind} must be tables, each under a line [[{kind}]]")
-        sensors += [_Table(path, kind, n, table).sensor(fps) for n, table in enumerate(tables)]
+        sensors += [_Table(path, kind, n, table, usual).sensor() for n, table in enumerate(tables)]
     names = sorted(sensor.name for sensor in sensors)
     twice = [a for a, b in pairwise(names) if a == b]
     if twice or not 0 < len(sensors) <= MOST_SENSORS or not any(s.is_camera for s in sensors):
@@ -155,66 +158,51 @@ def read_rig(path, fps):
             f"{path} has {fault}; there must be 1 to {MOST_SENSORS}, one of them a camera, each "
             "with a name of its own; correct the file"
         )
-    vehicle = _Table(path, "vehicle", 0, data.get("vehicle", {}), PLACED)
-    level = vehicle.values.get("level", True)
-    if not isinstance(level, bool):
+    vehicle = _Table(path, "vehicle", 0, data.get("vehicle", {}), USUAL, PLACED)
+    if not isinstance(vehicle.get("level"), bool):
         raise vehicle.error("level", "true or false")
-    rig = Rig(tuple(sensors), tuple(vehicle.numbers("path_camera", 3, [0.0] * 3)), level)
+    place = vehicle.array("path_camera", (3,)).tolist()
+    rig = Rig(tuple(sensors), tuple(place), vehicle.get("level"))
     rig.step()  # raises
     return rig
 
 
-class _Table:
-    """A table of a rig's file, with errors that name it."""
+class _Table(Entry):
+    """A table of a rig's file, with errors that name it; `usual` has values of lacking keys."""
 
-    def __init__(self, path, kind, number, values, keys=None):
-        self.path, self.where, self.kind = path, f"{path}: {kind} {number}", kind
-        self.values, keys = values, keys or KEYS[kind]
-        for key in values if isinstance(values, dict) else ["?"]:
+    def __init__(self, path, kind, number, values, usual, keys=None):
+        super().__init__(path, f"{kind} {number}", values, usual)
+        self.path, self.kind, keys = path, kind, keys or KEYS[kind]
+        for key in values:
             if key not in keys:
-                raise InputError(f"{self.where} has a key {shown(key)}; {nearest(key, keys)}")
+                raise InputError(f"{self.label} has a key {shown(key)}; {nearest(key, keys)}")
 
-    def error(self, key, rule):
-        """Return the error of a key that breaks a rule."""
-        return InputError(
-            f"{self.where}: {key} is {shown(self.values.get(key))}; it must be {rule}; correct it"
-        )
-
-    def number(self, key, low, high, default=None):
+    def number(self, key, low, high):
         """Return a number from `low` to `high`."""
-        value = json_number(self.values.get(key, default))
+        value = json_number(self.get(key))
         if value is None or not low <= value <= high:
             raise self.error(key, f"a number from {low:g} to {high:g}")
         return value
 
-    def numbers(self, key, count, default):
-        """Return a list of `count` numbers."""
-        values = self.values.get(key, default)
-        found = [json_number(v) for v in values] if isinstance(values, list) else [None]
-        if len(found) != count or any(v is None or abs(v) > 1e4 for v in found):
-            raise self.error(key, f"a list of {count} numbers")
-        return [float(v) for v in found]
-
-    def sensor(self, fps):
-        """Return the `Sensor` that the table describes; `fps` [1/s] is the usual rate."""
-        name = self.values.get("name")
+    def sensor(self):
+        """Return the `Sensor` that the table describes."""
+        name = self.get("name")
         if not isinstance(name, str) or not name.isascii() or not name.isidentifier():
             raise self.error("name", "a word of letters, digits and _")
         matrix = np.eye(4)
         # Yaw to the left, pitch up, roll clockwise as the sensor looks.
-        yaw, pitch, roll = self.numbers("look", 3, [0.0] * 3)
+        yaw, pitch, roll = self.array("look", (3,))
         turn = Rotation.from_euler("ZYX", (yaw, -pitch, roll), degrees=True).as_matrix()
-        matrix[:3, 3] = self.numbers("at", 3, None)
-        rate = Fraction(self.number("rate", 0.1, MOST_RATE, fps)).limit_denominator(1000)
-        offset = Fraction(self.number("offset", 0, 1e4, 0)).limit_denominator(1000) / 1000  # ms
+        matrix[:3, 3] = self.array("at", (3,))
+        rate = Fraction(self.number("rate", 0.1, MOST_RATE)).limit_denominator(1000)
+        offset = Fraction(self.number("offset", 0, 1e4)).limit_denominator(1000) / 1000  # ms
         if self.kind == "lidar":
             matrix[:3, :3] = turn
-            sensor = self.values.get("sensor", "hdl64")
-            if sensor not in SENSORS:
+            if self.get("sensor") not in SENSORS:
                 raise self.error("sensor", "one of " + ", ".join(SENSORS))
-            return Sensor(name, matrix, rate, offset, lidar=sensor)
+            return Sensor(name, matrix, rate, offset, lidar=self.get("sensor"))
         matrix[:3, :3] = turn @ CAMERA_FROM_LIDAR.T
-        readout = self.number("rolling", 0, 1e4, 0) * 1e-3
+        readout = self.number("rolling", 0, 1e4) * 1e-3
         check_readout(readout)
         return Sensor(name, matrix, rate, offset, self._camera(), self._lens(), readout)
 
@@ -225,14 +213,15 @@ class _Table:
         if "fov" in self.values:
             fx = fy = width / 2 / math.tan(math.radians(self.number("fov", 1, 170)) / 2)
         else:
-            fx, fy = self.numbers("focal", 2, None)
+            fx, fy = self.array("focal", (2,)).tolist()
             if min(fx, fy) <= 0:
                 raise self.error("focal", "two numbers above 0")
-        center = self.numbers("center", 2, [width / 2, height / 2])
+        centered = "center" not in self.values
+        center = (width / 2, height / 2) if centered else self.array("center", (2,)).tolist()
         return Camera(width, height, fx, fy, *center, np.eye(4))
 
     def _lens(self):
-        text = self.values.get("lens")
+        text = self.get("lens")
         if text is None:
             return None
         if not isinstance(text, str):

@@ -124,15 +124,22 @@ def draw_rolling(renderer, camera, state, motion, readout, names=(), rows=None, 
     reports = [report for _, report in parts]
     aovs = {name: np.concatenate([r.aovs[name] for r in reports]) for name in names}
     facts = {key: value for key, value in reports[0].facts.items() if key != "actors"}
-    for kind, name in (("puddles", "puddle_id"), ("splashes", "splash_id")):
-        if name in aovs:
-            known = {entry["id"]: entry for r in reports for entry in r.facts.get(kind, ())}
-            facts[kind] = [{**known.get(b["id"], {}), **b} for b in boxes_of(aovs[name])]
+    facts |= boxed(aovs, [report.facts for report in reports])
     if ACTORS in aovs:
         heights = [len(part) for part, _ in parts]
         facts["actors"] = _actors(reports, np.cumsum([0, *heights]), aovs[ACTORS])
     notes = tuple(dict.fromkeys(notes))
     return picture, replace(reports[0], time=state.time, aovs=aovs, facts=facts, notes=notes)
+
+
+def boxed(layers, facts):
+    """Return the entries of puddles and splashes in some facts, with their boxes in layers."""
+    found = {}
+    for kind, name in (("puddles", "puddle_id"), ("splashes", "splash_id")):
+        if name in layers:
+            known = {entry["id"]: entry for some in facts for entry in some.get(kind, ())}
+            found[kind] = [{**known.get(b["id"], {}), **b} for b in boxes_of(layers[name])]
+    return found
 
 
 def _speed_in(camera, motion, depth, report):

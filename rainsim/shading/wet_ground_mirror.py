@@ -26,7 +26,7 @@ from rainsim.numerics.interpolation import four_colors
 from rainsim.numerics.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.raster import select
 from rainsim.scene.types import Camera, pose_at
-from rainsim.scene.view import View, kept_for_lens, pixel_ray, rays
+from rainsim.scene.view import View, pixel_ray, rays
 from rainsim.shading import lamp_images
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import LAWS
@@ -128,7 +128,6 @@ def level_camera(view):
     return Camera(width, height, scale, scale, -left * scale, ABOVE * scale, pose)
 
 
-@kept_for_lens
 def _edge_rays(camera):
     """Return the `rays` through places along a picture's edges, (3, n)."""
     return rays(camera, _EDGES[0] * camera.width, _EDGES[1] * camera.height).T

@@ -11,9 +11,9 @@ from pathlib import Path
 from rainsim.config.preset_writer import preset_text_of
 from rainsim.errors import RainsimError
 from rainsim.io import images
-from rainsim.io.files import replacing
-from rainsim.output_folder import relative
-from rainsim.scene.camera_path import camera_path_data, write_camera_path
+from rainsim.io.files import replacing, write_json
+from rainsim.output_folder.claims import relative
+from rainsim.scene.camera_path import camera_path_data
 from rainsim.scene.folder import write_scene
 from rainsim.scene.ground import write_ground_frame
 from rainsim.terrain.poured import DRAINS, STAYS, write_water_mask
@@ -107,7 +107,7 @@ class Home:
 
     def _write(self, session, folder, config, data, frames):
         """Write camera path, preset and command into a folder."""
-        write_camera_path(folder / PATH, data)
+        write_json(folder / PATH, data)
         _write_text(folder / PRESET, preset_text_of(config, "Saved by rainsim view."))
         sun = ["--sun", "sky"] if config.render.sun == "sky" else []  # no preset file holds it
         command = [

@@ -152,7 +152,7 @@ def test_folders_of_others_are_left_alone(export, tmp_path):
     assert export("set", *words).code == 0
     (tmp_path / "set/notes.txt").write_text("keep")
     done = export("set", "--rain", "10", "--views", "view_1", "--resume")
-    assert done.code == 2 and "is another" in done.error
+    assert done.code == 2 and "was another" in done.error
     done = export("set", "--rain", "10", "--views", "view_1", "--overwrite")
     assert done.code == 0, done.err
     left = files_in(tmp_path / "set")

@@ -12,9 +12,10 @@ import time
 import numpy as np
 import pytest
 
-from rainsim import output_folder, pipeline, simulation
+from rainsim import pipeline, simulation
 from rainsim.errors import DivergedError
 from rainsim.io.images import read_image
+from rainsim.output_folder.frames import FrameFolder
 from rainsim.render.aov import AOVS, recompose
 from rainsim.scene.cameras import read_cameras
 from rainsim.scene.library import load_scene
@@ -308,7 +309,7 @@ def test_ctrl_c_ends_a_process_with_130(scene_folder, tmp_path, root):
 def test_ctrl_c_that_a_callback_swallows_still_ends_a_run(film, tmp_path, monkeypatch, pressed):
     # A shell that runs the tests in the background has all below it ignore the signal.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    add = output_folder.FrameFolder.add
+    add = FrameFolder.add
 
     class Swallows:
         def __del__(self):
@@ -319,7 +320,7 @@ def test_ctrl_c_that_a_callback_swallows_still_ends_a_run(film, tmp_path, monkey
         add(*given)
         Swallows()  # goes at once: what its finalizer raises is dropped
 
-    monkeypatch.setattr(output_folder.FrameFolder, "add", swallow)
+    monkeypatch.setattr(FrameFolder, "add", swallow)
     printed = []
     monkeypatch.setattr(sys, "unraisablehook", printed.append)
     done = film("out")

@@ -127,7 +127,7 @@ def test_a_world_that_was_stopped_is_written_again_to_the_same_bytes(
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    for out in ("write_glb", "falling_at", "write_world"):
+    for out in ("write_glb", "falling_at", "usd_files.write_world"):
         with monkeypatch.context() as patched:
             patched.setattr(f"rainsim.world.write.{out}", interrupted)
             assert rainsim(*words, out).code == 130

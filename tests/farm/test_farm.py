@@ -16,7 +16,9 @@ from made_frames import MadeUpFrames
 from rainsim.config.settings import Config
 from rainsim.errors import BackendError, RainsimError
 from rainsim.farm import cluster
-from rainsim.output_folder import FrameFolder, Record, claimed
+from rainsim.output_folder.claims import claimed
+from rainsim.output_folder.frames import FrameFolder
+from rainsim.output_folder.record import Record
 from rainsim.pipeline import FrameSequence, extract_terrain
 from scenes import tiny_scene
 

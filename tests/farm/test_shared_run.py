@@ -17,7 +17,10 @@ from made_frames import MadeUpFrames
 from rainsim.errors import InputError, ParameterError, RainsimError
 from rainsim.farm.shared_run import SharedRun
 from rainsim.io.journal import SHARED_FOLDER
-from rainsim.output_folder import JOURNAL, FrameFolder, Record, claimed, read_record
+from rainsim.output_folder.claims import claimed
+from rainsim.output_folder.frames import FrameFolder
+from rainsim.output_folder.names import JOURNAL, read_record
+from rainsim.output_folder.record import Record
 from run_folders import assert_same_run
 from scenes import tiny_scene
 

@@ -15,7 +15,10 @@ from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
 from rainsim.io import images
 from rainsim.io.claim import ClaimedError, claim
-from rainsim.output_folder import CLAIM, PROVENANCE, FrameFolder, Record, claimed, read_record
+from rainsim.output_folder.claims import claimed
+from rainsim.output_folder.frames import FrameFolder
+from rainsim.output_folder.names import CLAIM, PROVENANCE, read_record
+from rainsim.output_folder.record import Record
 from rainsim.render import frame_files
 from rainsim.render.renderer import FrameReport
 from scenes import tiny_scene
@@ -84,7 +87,7 @@ def test_overwriting_takes_no_folder_that_is_being_written(tmp_path):
 
 def test_the_claim_of_a_run_that_was_killed_is_taken_over(tmp_path):
     code = (
-        "import sys, time; from rainsim.output_folder import claimed\n"
+        "import sys, time; from rainsim.output_folder.claims import claimed\n"
         "with claimed(sys.argv[1]): print('held', flush=True); time.sleep(60)"
     )
     folder = tmp_path / "a"

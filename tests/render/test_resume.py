@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rainsim import output_folder
 from rainsim.config.settings import Config
 from rainsim.errors import ParameterError
 from rainsim.io import fingerprint
 from rainsim.io.video import VideoFormat
+from rainsim.output_folder.claims import claimed
+from rainsim.output_folder.frames import FrameFolder
+from rainsim.output_folder.names import JOURNAL, read_record
+from rainsim.output_folder.record import Record
 from rainsim.pipeline import frames_of
 from rainsim.render.report import FrameReport
 from run_folders import assert_same_run, written
@@ -32,11 +35,9 @@ def report(index):
 def draw(folder, seed=0, resume=False, video=None, stop=None, pause=0.0):
     """Write FRAMES frames into a folder, or those before `stop`; return which were drawn."""
     config, scene, drawn = Config().replace(frames=FRAMES), tiny_scene(), []
-    with output_folder.claimed(folder, resume=resume):
-        record = output_folder.Record(Path(folder), scene, {"layers": ["depth"]}, seed=seed)
-        film = output_folder.FrameFolder(
-            Path(folder), record, scene.cameras[:1], config, video, resume
-        )
+    with claimed(folder, resume=resume):
+        record = Record(Path(folder), scene, {"layers": ["depth"]}, seed=seed)
+        film = FrameFolder(Path(folder), record, scene.cameras[:1], config, video, resume)
         missing = [index for index in config.indices if index not in film.kept]
         with film:
             for index in missing:
@@ -63,7 +64,7 @@ def same(folder, whole):
 def test_an_interrupted_run_is_gone_on_with(tmp_path, whole):
     with pytest.raises(KeyboardInterrupt):
         draw(tmp_path / "a", stop=5)
-    assert not output_folder.read_record(tmp_path / "a")["complete"]
+    assert not read_record(tmp_path / "a")["complete"]
     assert draw(tmp_path / "a", resume=True) == list(range(5, FRAMES))
     same(tmp_path / "a", whole)
     assert draw(tmp_path / "a", resume=True) == []  # there is nothing left to draw
@@ -99,7 +100,7 @@ def test_another_run_is_refused_and_left_as_it_is(tmp_path):
 @pytest.mark.parametrize("text", ["", "\0\0", "[]", '{"index": 1}', "nonsense\n", "[" * 9999])
 def test_a_journal_that_is_cut_or_made_up_keeps_nothing_that_is_not_whole(tmp_path, whole, text):
     draw(tmp_path / "a")
-    journal = tmp_path / "a" / output_folder.JOURNAL
+    journal = tmp_path / "a" / JOURNAL
     lines = journal.read_text().splitlines()
     forged = json.loads(lines[2]) | {"files": {"../../secret": "0"}}
     no_picture = json.loads(lines[3]) | {"files": {}}
@@ -112,7 +113,7 @@ def test_a_journal_that_is_cut_or_made_up_keeps_nothing_that_is_not_whole(tmp_pa
 
 def test_a_fingerprint_knows_content_and_no_names(tmp_path, monkeypatch):
     def of(scene, **facts):
-        return output_folder.Record(tmp_path, scene, **facts).fingerprint
+        return Record(tmp_path, scene, **facts).fingerprint
 
     from dataclasses import replace
 

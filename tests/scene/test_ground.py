@@ -18,7 +18,7 @@ from made_captures import patio, ring, splats_at
 from rainsim.errors import GroundError, InputError, ParameterError
 from rainsim.scene import ground
 from rainsim.scene.cameras import look_at, read_cameras
-from rainsim.scene.ply import read_splats
+from rainsim.scene.formats import read_splats
 from rainsim.scene.types import GroundFrame
 
 
@@ -283,14 +283,14 @@ def test_ground_frame_file_reads_back_exactly(tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("[]", "holds no ground frame"),
+        ("[]", "ground frame is not an object"),
         ('{"rainsim_ground_frame": 2}', "has rainsim_ground_frame 2; it must be 1"),
-        ('{"rotation": [[1,0,0],[0,1,0],[0,0,1]]}', "meters_per_unit is None"),
+        ('{"rotation": [[1,0,0],[0,1,0],[0,0,1]]}', "meters_per_unit is missing"),
         ('{"rotation": [[1,0,0],[0,1,0],[0,0,-1]], "meters_per_unit": 1}', "right-handed"),
         ('{"rotation": [[1,0,0],[0,1,0],[0,0,2]], "meters_per_unit": 1}', "right-handed"),
         ('{"rotation": 3}', "rotation is 3"),
         ('{"rotation": [[1,0,0],[0,1,0],[0,0,1]], "meters_per_unit": -1}', "meters_per_unit is -1"),
-        ('{"rotation": [[1,0,0],[0,1,0],[0,0,1]], "meters_per_unit": 1}', "translation is None"),
+        ('{"rotation": [[1,0,0],[0,1,0],[0,0,1]], "meters_per_unit": 1}', "translation is missing"),
     ],
 )
 def test_bad_ground_frame_files(tmp_path, text, expected):

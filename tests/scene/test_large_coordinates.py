@@ -6,7 +6,7 @@ import numpy as np
 
 from made_captures import capture_cameras, patio, ring, splats_at
 from made_formats import stored_columns
-from rainsim.output_folder import input_facts
+from rainsim.output_folder.facts import input_facts
 from rainsim.scene.folder import import_scene, read_scene, write_scene
 from rainsim.scene.origin import capture_from_ground, moved, near_origin
 from rainsim.scene.types import GroundFrame

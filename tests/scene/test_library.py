@@ -172,7 +172,7 @@ def damage_version(folder):
         (damage_not_an_archive, "damaged"),
         (damage_mixed_up, "belong together"),
         (damage_missing, "does not exist"),
-        (damage_drains, "three finite numbers"),
+        (damage_drains, "finite numbers of shape 1 x 3"),
         (damage_version, "version 1"),
     ],
 )
@@ -199,10 +199,10 @@ def test_a_folder_around_a_model_is_answered_with_the_model(model):
 
 @pytest.fixture
 def fake_built_in(monkeypatch):
-    module = types.ModuleType("made_for_a_test")
+    module = types.ModuleType("rainsim.demo_scenes.hut")
     module.make_hut = lambda: made_scene("hut")
-    monkeypatch.setitem(sys.modules, "made_for_a_test", module)
-    monkeypatch.setattr(library, "BUILT_IN", {"hut": ("made_for_a_test", "make_hut")})
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(library, "BUILT_IN", {"hut": module.__name__})
 
 
 def test_built_in_scene_says_that_it_is_generated(fake_built_in):

@@ -352,7 +352,7 @@ STAGES = {
     f"{name}{suffix}": Kind(f"a{suffix}", stage_of(make, suffix), mutate.plain, bounded(read_it))
     for name, make, read_it in (
         ("USD camera", make_usd_camera, lambda path: usd_cameras._read(path, None)),
-        ("USD splats", make_usd_splats, lambda p: made.check_arrays(usd._read_stage(p, 0.01)[0])),
+        ("USD splats", make_usd_splats, lambda p: made.check_arrays(usd._read_stage(p)[0])),
     )
     for suffix in (".usda", ".usdc")
 }

@@ -14,13 +14,14 @@ from rainsim.demo_scenes import build
 from rainsim.demo_scenes.bicycle import bench, bike, plants
 from rainsim.demo_scenes.bicycle.backdrop import far_trees, sky_cloud
 from rainsim.demo_scenes.bicycle.paving import bed_height, paving_cloud
-from rainsim.scene.types import Camera, Scene, pose_at
+from rainsim.scene.cameras import look_at
+from rainsim.scene.types import Scene
 
 SEED = 20140
 BLADES = 64_000
 CAMERAS = 24
 WIDTH, HEIGHT = 648, 432  # px
-FIELD_OF_VIEW = np.radians(60)  # horizontal
+FIELD_OF_VIEW = 60.0  # degrees, horizontal
 TARGET = np.array([0.0, -0.15, 0.82])  # m, what the cameras look at
 FIRST_AZIMUTH = np.radians(-118)  # of the first camera as seen from the target
 METERS_PER_UNIT = 0.6
@@ -53,8 +54,9 @@ def make_bicycle() -> Scene:
     turn = build.turn_about((0, 0, 1), -np.arctan2(forward[1], forward[0]))  # ground_from_path
     frame = build.tilted_frame(CAPTURE_TILT, METERS_PER_UNIT, CAPTURE_ORIGIN)
     splats = build.to_splats(build.moved(cloud, turn), frame)
+    view = (0, 0, 1), FIELD_OF_VIEW, WIDTH, HEIGHT
     cameras = tuple(
-        frame.camera_in_capture(_camera(turn @ eye, turn @ TARGET, f"{k:02d}"))
+        frame.camera_in_capture(look_at(turn @ eye, turn @ TARGET, *view, f"{k:02d}"))
         for k, eye in enumerate(eyes)
     )
     return Scene("bicycle", splats, cameras, frame, source_hash=build.content_hash(splats))
@@ -68,16 +70,6 @@ def _eyes():
     height = 1.5 + 0.12 * np.cos(2 * np.pi * 5 * k / CAMERAS)
     flat = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) * distance[:, None]
     return np.column_stack([TARGET[:2] + flat, height])
-
-
-def _camera(eye, target, name):
-    """Return a camera of the ground frame [m] that looks at `target`, its up the frame's z."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, (0, 0, 1.0))
-    right /= np.linalg.norm(right)
-    pose = pose_at(np.array([right, np.cross(forward, right), forward]), eye)
-    focal = float(WIDTH / 2 / np.tan(FIELD_OF_VIEW / 2))
-    return Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, pose, name)
 
 
 def _ground_light():

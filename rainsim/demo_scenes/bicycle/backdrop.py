@@ -3,7 +3,7 @@
 import numpy as np
 
 from rainsim.demo_scenes.bicycle.plants import crown
-from rainsim.demo_scenes.build import discs, join
+from rainsim.demo_scenes.build import discs, grid, join, spiral
 
 SKY_RADIUS = 70.0  # m
 ZENITH, HORIZON = np.array([0.640, 0.710, 0.800]), np.array([0.885, 0.900, 0.910])
@@ -20,11 +20,8 @@ FAR_GREENS = np.array(
 
 def sky_cloud(noise, count=4200, radius=SKY_RADIUS):
     """Return the sky as large splats on a dome, from just below the horizon to the zenith."""
-    k = np.arange(count) + 0.5
-    z = -0.10 + 1.10 * k / count
-    turn = k * np.pi * (3 - np.sqrt(5))  # even in solid angle
-    r = np.sqrt(np.clip(1 - z * z, 0, 1))
-    direction = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+    z = -0.10 + 1.10 * (np.arange(count) + 0.5) / count
+    direction = spiral(z)
     spread = np.clip(z, 0, 1)[:, None] ** 0.6
     colour = HORIZON + spread * (ZENITH - HORIZON)
     plane = direction[:, :2] / (z[:, None] + 0.22)  # cloud sheets crowd towards the horizon
@@ -62,10 +59,7 @@ def _undergrowth(rng):
     parts = []
     for radius, height, haze in zip(FAR_RADII, (0.7, 1.2, 1.7), FAR_HAZE, strict=True):
         step = 0.36
-        turn, z = (
-            v.ravel()
-            for v in np.meshgrid(np.arange(0, 2 * np.pi, step / radius), np.arange(0, height, step))
-        )
+        turn, z = grid(np.arange(0, 2 * np.pi, step / radius), np.arange(0, height, step))
         outward = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
         points = outward * (radius + 0.7) + np.column_stack([0 * z, 0 * z, z])
         colour = np.array([0.250, 0.310, 0.165]) * rng.uniform(0.65, 1.35, (len(z), 1))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rainsim.demo_scenes.build import OVERLAP, cells, discs, join, lit, unit
+from rainsim.demo_scenes.build import OVERLAP, cells, discs, grid, join, lit, unit
 
 NEAR_EDGE, FAR_EDGE = -2.7, 1.0  # m, the path's y range
 HALF_LENGTH = 16.0  # m, the path's x range each way
@@ -98,22 +98,18 @@ def _spacing(stone):
 
 def _stone_cells(stones, rng):
     """All cells of all stones: position, size, which stone, and distance to the stone's edge."""
-    x, y, sx, sy, which, rim = [], [], [], [], [], []
+    parts = []
     for s, stone in enumerate(stones):
         inset = rng.uniform(0.6, 1.4, 4) * JOINT / 2
         x0, y0, x1, y1 = stone[:4] + inset * (1, 1, -1, -1)
         spacing = _spacing(stone)
         a, da = cells(x1 - x0, spacing)
         b, db = cells(y1 - y0, spacing)
-        aa, bb = np.meshgrid(a, b)
-        edge = np.minimum(np.minimum(aa, x1 - x0 - aa), np.minimum(bb, y1 - y0 - bb))
-        x.append(aa.ravel() + x0)
-        y.append(bb.ravel() + y0)
-        sx.append(np.broadcast_to(da, aa.shape).ravel())
-        sy.append(np.broadcast_to(db[:, None], aa.shape).ravel())
-        which.append(np.full(aa.size, s))
-        rim.append(edge.ravel())
-    return [np.concatenate(v) for v in (x, y, sx, sy, which, rim)]
+        a, b = grid(a, b)
+        edge = np.minimum(np.minimum(a, x1 - x0 - a), np.minimum(b, y1 - y0 - b))
+        parts.append([a + x0, b + y0, *grid(da, db), np.full(a.size, s), edge])
+    x, y, sx, sy, which, rim = np.concatenate(parts, axis=1)
+    return x, y, sx, sy, which.astype(int), rim
 
 
 def stones_cloud(stones, noise, rng):

@@ -4,7 +4,7 @@ import numpy as np
 
 from rainsim.demo_scenes.bicycle.paving import FAR_EDGE, NEAR_EDGE
 from rainsim.demo_scenes.bicycle.paving import HALF_LENGTH as PATH_REACH
-from rainsim.demo_scenes.build import discs, join, lit, strands, tinted, tube, unit
+from rainsim.demo_scenes.build import discs, grid, join, lit, strands, tinted, tube, unit
 
 SOIL_HEIGHT = 0.012  # m, of the lawn's soil above the path's edge
 LAWN_REACH = 26.0  # m
@@ -99,7 +99,7 @@ def _turf(noise, rng):
     parts = []
     for inner, outer, cell in TURF_RINGS:
         ticks = np.arange(-outer, outer, cell)
-        x, y = (v.ravel() for v in np.meshgrid(ticks, ticks))
+        x, y = grid(ticks, ticks)
         x, y = x + rng.normal(0, 0.2 * cell, x.size), y + rng.normal(0, 0.2 * cell, y.size)
         r = np.hypot(x, y)
         keep = (r >= inner) & (r < outer) & ~on_path(x, y, margin=-0.06 - 1.1 * cell)
@@ -262,9 +262,7 @@ def hedge(face, leaf, count, noise, rng):
 def _hedge_core(face, inward):
     """Return the dark inside of a hedge, so that nobody looks through it."""
     cell = 0.16
-    x, z = (
-        v.ravel() for v in np.meshgrid(np.arange(-12.5, 12.5, cell), np.arange(0.05, 1.50, cell))
-    )
+    x, z = grid(np.arange(-12.5, 12.5, cell), np.arange(0.05, 1.50, cell))
     front = np.stack([x, np.full(x.size, face + inward * 0.16), z], axis=1)
     colour = (0.085, 0.115, 0.055)
     return discs(front, (0, -1, 0), colour, 0.72 * cell, thickness=0.02, opacity=0.97)

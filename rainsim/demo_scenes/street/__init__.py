@@ -60,12 +60,6 @@ def make_street() -> Scene:
     )  # fmt: skip
 
 
-def first_view():
-    """Return the first camera of the drive along the street, and its ground frame."""
-    frame = tilted_frame(CAPTURE_TILT, METERS_PER_UNIT, CAPTURE_ORIGIN)
-    return frame.camera_in_capture(next(_drive())), frame
-
-
 def make_long_street(length) -> Scene:
     """Generate a street of a length [m]; the same arrays every time."""
     street = LongStreet(length, SEED, _leaves)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rainsim.demo_scenes.build import box, discs, join, lit, moved, polished, turn_about, unit
+from rainsim.demo_scenes.build import box, discs, grid, join, lit, moved, polished, turn_about, unit
 
 LENGTH, WIDTH = 4.25, 1.76  # m
 WHEEL, TRACK = 0.315, 0.76  # m, radius, and half the distance between the wheels' middles
@@ -190,7 +190,7 @@ def _ends(shape, paint, spacing, rng):
         top = float(z.max())
         ys = np.arange(-y.max() + spacing / 2, y.max(), spacing)
         zs = np.arange(SILL + spacing / 2, top, spacing)
-        yy, zz = (v.ravel() for v in np.meshgrid(ys, zs))
+        yy, zz = grid(ys, zs)
         half = np.interp(zz, z[0], y[0])
         keep = np.abs(yy) < half + 0.01
         yy, zz = yy[keep], zz[keep]
@@ -247,9 +247,8 @@ def _lamps(shape, on, rng):
 
 
 def _cluster(u, y, low, high, half, colour, out):
-    ys, zs = np.meshgrid(np.linspace(y - half + 0.03, y + half - 0.03, 6),
-                         np.linspace(low + 0.02, high - 0.02, 4))  # fmt: skip
-    ys, zs = ys.ravel(), zs.ravel()
+    across = np.linspace(y - half + 0.03, y + half - 0.03, 6)
+    ys, zs = grid(across, np.linspace(low + 0.02, high - 0.02, 4))
     points = np.stack([u + out * (0.06 + 0.05 * (1 - (ys / 0.88) ** 2)), ys, zs], axis=1)
     middle = np.exp(-(((ys - y) / half) ** 2))
     size = np.tile([half / 4.2, (high - low) / 4.4], (len(ys), 1))
@@ -259,10 +258,7 @@ def _cluster(u, y, low, high, half, colour, out):
 
 def _floor():
     """Return the dark underside; its splats end within the body, or they would veil the wheels."""
-    x, y = (
-        v.ravel()
-        for v in np.meshgrid(np.arange(0.18, LENGTH - 0.1, 0.1), np.arange(-0.6, 0.61, 0.1))
-    )
+    x, y = grid(np.arange(0.18, LENGTH - 0.1, 0.1), np.arange(-0.6, 0.61, 0.1))
     points = np.stack([x, y, np.full(x.size, SILL + 0.02)], axis=1)
     return discs(points, (0, 0, -1), (0.03, 0.03, 0.032), 0.075, thickness=4e-3)
 

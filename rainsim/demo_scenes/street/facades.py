@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rainsim.demo_scenes.build import OVERLAP, box, cells, discs, join, line, replace_colour
+from rainsim.demo_scenes.build import OVERLAP, box, cells, discs, grid, join, line, replace_colour
 
 GROUND_FLOOR, STOREY = 3.5, 2.95  # m
 WALLS = np.array(
@@ -49,9 +49,8 @@ class Wall:
         cell = self.spacing * fine * (1 + 0.05 * z0)
         a, da = cells(u1 - u0, min(cell * shape, u1 - u0))
         b, db = cells(z1 - z0, min(cell, z1 - z0))
-        u, z = (v.ravel() for v in np.meshgrid(a + u0, b + z0))
-        su, sz = (v.ravel() for v in np.meshgrid(da, db))
-        size = np.stack([su, sz], axis=1) * OVERLAP
+        u, z = grid(a + u0, b + z0)
+        size = np.stack([*grid(da, db)], axis=1) * OVERLAP
         return discs(
             self.at(u, z, out), self.out, colour(u, z), size, along=self.along, sheen=sheen
         )
@@ -130,12 +129,11 @@ def house(wall, width, storeys, style, noise, rng):
 def _roof(wall, width, base, rng):
     a, da = cells(width, 3 * wall.spacing)
     b, db = cells(2.4, 3 * wall.spacing)
-    u, v = (w.ravel() for w in np.meshgrid(a, b))
-    su, sv = (w.ravel() for w in np.meshgrid(da, db))
+    u, v = grid(a, b)
     points = wall.at(u, base + 0.62 * v, -0.78 * v + 0.15)
     tone = np.array([0.215, 0.215, 0.235]) * rng.uniform(0.85, 1.12, (len(u), 1))
     normal = 0.62 * wall.out + 0.78 * np.array([0, 0, 1])
-    size = np.stack([su, sv], 1) * OVERLAP
+    size = np.stack([*grid(da, db)], axis=1) * OVERLAP
     return discs(points, normal, tone, size, along=wall.along, sheen=0.15)
 
 
@@ -262,13 +260,12 @@ def _awning(wall, u0, u1, colour, rng):
     """Return a striped awning over a shop window."""
     a, da = cells(u1 - u0, 0.16 * max(1.0, wall.spacing / 0.12))
     b, db = cells(1.05, 0.16)
-    u, v = (w.ravel() for w in np.meshgrid(a + u0, b))
-    su, sv = (w.ravel() for w in np.meshgrid(da, db))
+    u, v = grid(a + u0, b)
     stripe = (np.floor((u - u0) / 0.32).astype(int) % 2 == 0)[:, None]
     tone = np.where(stripe, colour * 1.9 + 0.06, (0.62, 0.60, 0.55))
     tone = tone * rng.uniform(0.94, 1.05, (len(u), 1))
     points = wall.at(u, 2.85 - 0.38 * v, 0.12 + 0.92 * v)
-    size = np.stack([su, sv], axis=1) * OVERLAP
+    size = np.stack([*grid(da, db)], axis=1) * OVERLAP
     slope = discs(points, 0.38 * wall.out + np.array([0, 0, 0.92]), tone, size, along=wall.along)
     edge = a + u0
     points = wall.at(edge, 2.39 + 0 * edge, 1.09)

@@ -58,17 +58,13 @@ def _flags(where, size, axis, side, noise, rng, layout):
 def _kerb(side, rng, layout):
     """Return a row of granite blocks whose faces stand above the gutter."""
     parts = []
-    fine, pieces = span(layout, 2, 3), []
-    first = layout.ends[0]
-    for middle in own_sides(layout):
-        pieces.append((first, middle - SIDE_KERB - CORNER))
-        first = middle + SIDE_KERB + CORNER
-    for begin, last in (*pieces, (first, layout.ends[1])):
+    fine, sides = span(layout, 2, 3), own_sides(layout)
+    for begin, last in layout.between(layout.ends, sides, SIDE_KERB + CORNER):
         x = begin
         while x < last:
             near = fine[0] < x < fine[1]
             length = 0.92 if near else 2.0
-            if pieces:  # a block at the corner of a side street is cut to fit
+            if sides:  # a block at the corner of a side street is cut to fit
                 length = min(length, last - x + 1e-6)
             middle = (x + length / 2, side * (KERB + KERB_WIDTH / 2))
             parts.append(_block(middle, length, 0.045 if near else 0.11, rng, layout))

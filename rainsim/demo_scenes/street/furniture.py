@@ -3,7 +3,7 @@
 import numpy as np
 
 from rainsim.demo_scenes.bicycle.plants import crown
-from rainsim.demo_scenes.build import discs, join, lit, tinted, tube
+from rainsim.demo_scenes.build import discs, join, lit, spiral, tinted, tube
 from rainsim.demo_scenes.street.road import FACADE, KERB
 
 POST = np.array([0.110, 0.125, 0.120])
@@ -57,10 +57,7 @@ def _lamp(x, side, around):
     )
     parts.append(tube(arm, 0.028, POST, piece=0.07, around=7, sheen=0.3))
     head = arm[-1] - (0, side * 0.12, 0.13)
-    k = np.arange(90) + 0.5
-    z = 1 - 2 * k / 90
-    r, spin = np.sqrt(1 - z * z), k * np.pi * (3 - np.sqrt(5))
-    ball = np.stack([r * np.cos(spin), r * np.sin(spin), z], axis=1)
+    ball = spiral(1 - 2 * (np.arange(90) + 0.5) / 90)
     globe = head + ball * (0.15, 0.15, 0.13)
     colour = np.where(ball[:, 2:] > 0.35, POST * 1.3, LAMP_LIGHT)
     parts.append(discs(globe, ball, colour, 0.032, thickness=3e-3))

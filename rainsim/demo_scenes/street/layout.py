@@ -56,27 +56,29 @@ class Layout:
         Drains and dips near the piece shape its ground; what is drawn once, such as a cover, is
         only in the piece that holds its x.
         """
-        around = [self._close(values, first, last, MARGIN) for values in (self.drains, self.dips)]
+        drains, dips = (
+            values[(values[:, 0] > first - MARGIN) & (values[:, 0] < last + MARGIN)]
+            for values in (self.drains, self.dips)
+        )
         inside = {
             name: tuple(v for v in getattr(self, name) if first <= v[0] < last)
             for name in ("covers", "cracks")
         }
         return replace(
-            self, ends=(first, last), drains=around[0], dips=around[1], near=(first, last),
+            self, ends=(first, last), drains=drains, dips=dips, near=(first, last),
             stones=round(self.stones * (last - first) / (self.ends[1] - self.ends[0])), **inside,
         )  # fmt: skip
 
     @staticmethod
-    def _close(values, first, last, margin):
-        return values[(values[:, 0] > first - margin) & (values[:, 0] < last + margin)]
+    def between(ends, sides, reach):
+        """Yield the first and last x of the street's stretches `reach` [m] off its side streets."""
+        cuts = ends[0], *(x + sign * reach for x in sides for sign in (-1, 1)), ends[1]
+        yield from zip(cuts[::2], cuts[1::2], strict=True)
 
     def beside_side_street(self, x, reach):
         """Return whether places x are within `reach` [m] of the middle of a side street."""
-        x = np.asarray(x, np.float64)
-        found = np.zeros(x.shape, bool)
-        for side in self.sides:
-            found |= np.abs(x - side) < reach
-        return found
+        away = np.abs(np.asarray(x)[..., None] - np.array(self.sides))
+        return (away < reach).any(axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +124,7 @@ def long_layout(length, seed, shapes):
          rng.uniform(1.6, 4.2))
         for x in np.arange(ends[0] + 2, ends[1] - 4, 4.5) if rng.random() < 0.8
     )  # fmt: skip
-    bays = _bays(layout)
+    bays = tuple(layout.between(ends, sides, CLEAR))
     layout = replace(layout, patches=patches, covers=covers, cracks=cracks, bays=bays)
     return layout, _standing(layout, rng, shapes)
 
@@ -150,15 +152,6 @@ def _drains(layout):
                 rows.append((x, side * BESIDE))
         rows += [(x + s * AT_CORNER, side * BESIDE) for x in layout.sides for s in (-1, 1)]
     return np.array(sorted(rows))
-
-
-def _bays(layout):
-    """Return where parking bays are marked: away from side streets and crossings."""
-    cuts, first = [], layout.ends[0]
-    for x in layout.sides:
-        cuts.append((first, x - CLEAR))
-        first = x + CLEAR
-    return (*cuts, (first, layout.ends[1]))
 
 
 def _standing(layout, rng, shapes):

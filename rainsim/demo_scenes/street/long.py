@@ -39,14 +39,11 @@ class LongStreet:
     def pieces(self):
         """Yield the street as `Cloud` pieces in order, then the houses at its ends and the sky."""
         edges = self._edges()
-        fronts = {-1: [], len(edges): []}
-        for k, (first, last) in enumerate(edges):
-            for n in (k, k + 1):
-                if n not in fronts:
-                    fronts[n] = list(self._fronts(*edges[n]))
-            glows = [glow for n in (k - 1, k, k + 1) for _, rows in fronts[n] for glow in rows]
-            yield self._piece(k, first, last, np.array(glows).reshape(-1, 4), fronts[k])
-            del fronts[k - 1]
+        fronts = [list(self._fronts(*edge)) for edge in edges]
+        for k, edge in enumerate(edges):
+            near = itertools.chain(*fronts[max(k - 1, 0) : k + 2])
+            glows = np.array([glow for _, rows in near for glow in rows]).reshape(-1, 4)
+            yield self._piece(k, *edge, glows, fronts[k])
         yield self._closing()
         length = self.layout.ends[1] - self.layout.ends[0]
         sky = sky_cloud(self.noise, SKY_SPLATS, 0.5 * length + SKY_BEYOND)
@@ -92,15 +89,13 @@ class LongStreet:
         rng, number = self._rng(2), 0
         first, last = self.layout.ends
         for side in (-1, 1):
-            edge = first
-            for stop in (*self.layout.sides, last + SIDE_FACADE):
+            for edge, stop in self.layout.between((first, last), self.layout.sides, SIDE_FACADE):
                 style = int(rng.integers(0, 8))
-                for x, width in _row_of_houses(edge, stop - SIDE_FACADE, rng):
+                for x, width in _row_of_houses(edge, stop, rng):
                     wall = partial(facades.Wall, (x, side * road.FACADE), (1, 0), (0, -side), WALLS)
                     style = (style + int(rng.integers(1, 4))) % 8
                     yield number, x, wall, width, int(rng.integers(2, 4)), style
                     number += 1
-                edge = stop + SIDE_FACADE
             for street in self.layout.sides:
                 for out in (-1, 1):
                     style = int(rng.integers(0, 8))

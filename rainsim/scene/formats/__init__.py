@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rainsim.errors import InputError
 from rainsim.io.files import require_file
-from rainsim.scene.activate import MAX_BROKEN_SHARE
+from rainsim.scene.activate import MAX_BROKEN_SHARE, without_broken
 from rainsim.scene.types import Splats
 
 # Usual endings, by which the splat file of a folder is found.
@@ -73,8 +73,9 @@ def read(path, max_broken=MAX_BROKEN_SHARE):
     with open(path, "rb") as file:
         start = file.read(START)
         kind, reader = _reader_of(path, start, file)
-    splats, notes, broken = reader(path, max_broken)
-    return Reading(splats, kind, tuple(notes), broken)
+    splats, good, notes = reader(path)
+    splats, dropped, broken = without_broken(path, splats, good, max_broken)
+    return Reading(splats, kind, (*notes, *dropped), broken)
 
 
 def splat_blocks(path):
@@ -126,8 +127,7 @@ def sha256_of(path):
     digest = hashlib.sha256()
     for part in source_files(path):
         with open(require_file(part, "a picture of a SOG"), "rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
+            hashlib.file_digest(file, lambda: digest)
     return digest.hexdigest()
 
 
@@ -144,7 +144,7 @@ def source_files(path):
 
 
 def _reader_of(path, start, file):
-    """Return the format's name and its reader, a function of the path and the broken share."""
+    """Return the format's name and its reader: reader(path) is splats, usable, notes."""
     if start.startswith((b"ply\n", b"ply\r")):
         return _ply_reader(path, file)
     if start.startswith(USD_STARTS) or path.suffix.lower() in USD_SUFFIXES:
@@ -192,5 +192,5 @@ def _ply_reader(path, file):
     if header.compressed:
         from rainsim.scene.formats.compressed import read_compressed
 
-        return "compressed PLY", lambda path, broken: read_compressed(path, header, broken)
-    return "3DGS PLY", lambda path, broken: read_plain(path, header, broken)
+        return "compressed PLY", lambda path: read_compressed(path, header)
+    return "3DGS PLY", lambda path: read_plain(path, header)

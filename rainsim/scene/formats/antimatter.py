@@ -10,7 +10,7 @@ import numpy as np
 from rainsim.constants import SH_0
 from rainsim.errors import InputError
 from rainsim.io.files import MAX_LENGTH
-from rainsim.scene.activate import dropped_note, empty_splats, keep_good
+from rainsim.scene.activate import empty_splats
 
 RECORD = np.dtype(
     [("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("turn", "u1", 4)]
@@ -42,8 +42,8 @@ def _usable(records):
     return good & (records["turn"] != 128).any(axis=1)
 
 
-def read_antimatter(path, max_broken):
-    """Return the Splats of a `.splat` file, notes and how many splats were dropped."""
+def read_antimatter(path):
+    """Return the Splats of a `.splat` file, which are usable, and no notes."""
     size = path.stat().st_size
     if size % RECORD.itemsize:
         raise InputError(
@@ -59,5 +59,4 @@ def read_antimatter(path, max_broken):
         splats.sh[:, 0] = (records["color"][:, :3] / np.float32(255) - np.float32(0.5)) / SH_0
         turn = records["turn"].astype(np.float32) - 128
         np.divide(turn, np.linalg.norm(turn, axis=1, keepdims=True), out=splats.rotation)
-    splats, broken = keep_good(path, splats, _usable(records), max_broken)
-    return splats, dropped_note(broken, len(splats)), broken
+    return splats, _usable(records), []

@@ -5,10 +5,11 @@ them in 11, 10 or 8 bits; an optional element holds spherical harmonics as bytes
 """
 
 import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
 
 from rainsim.errors import InputError
-from rainsim.scene.activate import REST_COEFFICIENTS, activate, dropped_note, keep_good
-from rainsim.scene.formats.extra import decoding, load_extra
+from rainsim.scene.activate import REST_COEFFICIENTS
+from rainsim.scene.formats.extra import activated, decoding, load_extra
 
 CHUNK = 256  # splats
 KIND = "a compressed PLY"
@@ -20,8 +21,8 @@ COLORS = tuple(f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
 
-def read_compressed(path, header, max_broken):
-    """Return the Splats of a compressed PLY, notes and how many splats were dropped."""
+def read_compressed(path, header):
+    """Return the Splats of a compressed PLY, which are usable, and no notes."""
     tables = _read_tables(path, header)
     chunks, packed = _chunk_table(path, tables), _columns(path, tables, "vertex", PACKED, "<u4")
     harmonics = _harmonics_table(path, tables, len(packed))
@@ -33,12 +34,7 @@ def read_compressed(path, header, max_broken):
     gsply = load_extra(path, KIND)
     with decoding(path, KIND):
         data = gsply.decompress_from_bytes(_whole_file(chunks, packed, harmonics))
-        rest = data.shN if data.shN is not None and data.shN.shape[1] else None
-        splats, good = activate(
-            data.means, data.scales, data.quats, data.opacities.reshape(-1), data.sh0, rest
-        )
-    splats, broken = keep_good(path, splats, good, max_broken)
-    return splats, dropped_note(broken, len(splats)), broken
+        return *activated(data), []
 
 
 def _read_tables(path, header):
@@ -70,10 +66,7 @@ def _columns(path, tables, name, properties, kind):
             f"{path}: {wrong[0]} is of type {rows.dtype[wrong[0]].name}; in {KIND} it must be "
             f"{np.dtype(kind).name}; {REMEDY}"
         )
-    table = np.empty((len(rows), len(properties)), kind)
-    for column, p in enumerate(properties):
-        table[:, column] = rows[p]
-    return table
+    return structured_to_unstructured(rows[list(properties)])
 
 
 def _chunk_table(path, tables):

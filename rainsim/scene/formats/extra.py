@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from importlib import import_module
 
 from rainsim.errors import InputError
+from rainsim.scene.activate import activate
 
 INSTALL = 'pip install "rainsim[formats]"'
 
@@ -25,6 +26,12 @@ def load_extra(path, kind, *modules):
                 f"{path} is {kind}; reading it needs the package {module}; {INSTALL}"
             ) from None
     return found
+
+
+def activated(data):
+    """Return the Splats of what gsply has decoded, and which are usable (n,)."""
+    rest = data.shN if data.shN is not None and data.shN.shape[1] else None
+    return activate(data.means, data.scales, data.quats, data.opacities.ravel(), data.sh0, rest)
 
 
 @contextmanager

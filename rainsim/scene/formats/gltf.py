@@ -19,8 +19,6 @@ from rainsim.io.files import MAX_LENGTH, number_array
 from rainsim.scene.activate import (
     MAX_BROKEN_SHARE,
     activate,
-    dropped_note,
-    keep_good,
     require_believable,
 )
 from rainsim.scene.harmonics import turned
@@ -80,8 +78,8 @@ class Model:
         return value
 
 
-def read_glb(path, max_broken):
-    """Return the Splats of a binary glTF, notes and how many splats were dropped."""
+def read_glb(path):
+    """Return the Splats of a binary glTF, which are usable, and notes."""
     model = opened(path)
     required = model.indices(model.data, "extensionsRequired")
     foreign = [name for name in required if name not in KNOWN]
@@ -112,8 +110,7 @@ def read_glb(path, max_broken):
             f"scales below 0 are logarithms, as in drafts of {EXTENSION} before April 2026"
         )
     read, good = zip(*(_read(model, *part, logarithms) for part in parts), strict=True)
-    splats, broken = keep_good(path, joined(read), np.concatenate(good), max_broken)
-    return splats, [*notes, *dropped_note(broken, len(splats))], broken
+    return joined(read), np.concatenate(good), notes
 
 
 def opened(path):

@@ -8,13 +8,13 @@ import io
 import json
 import struct
 import zipfile
-from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from rainsim.errors import InputError, one_line, shown
-from rainsim.io.files import json_number, require_file
-from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
-from rainsim.scene.formats.extra import decoding, load_extra
+from rainsim.errors import InputError, one_line
+from rainsim.io.files import MAX_LENGTH, require_file
+from rainsim.scene.activate import require_believable
+from rainsim.scene.camera_entry import Entry
+from rainsim.scene.formats.extra import activated, decoding, load_extra
 
 KIND = "SOG"
 META = "meta.json"
@@ -27,11 +27,10 @@ CODES = 256  # entries of a codebook
 PALETTE_ROW = 64  # palette entries in a row of the picture of spherical harmonics
 PALETTE_LIMIT = 1 << 16
 BANDS = {1: 3, 2: 8, 3: 15}  # SH degree -> coefficients beyond the first
-LOG_LIMIT = 27.0  # positions are stored as sign * (exp(|v|) - 1); beyond is past MAX_LENGTH
 
 
-def read_bundle(path, max_broken):
-    """Return the Splats of a bundled SOG file, notes and how many splats were dropped."""
+def read_bundle(path):
+    """Return the Splats of a bundled SOG file, which are usable, and no notes."""
     size = path.stat().st_size
     try:
         with zipfile.ZipFile(path) as archive:
@@ -41,7 +40,7 @@ def read_bundle(path, max_broken):
             def load(name):
                 return _unpack(path, archive, infos.get(root + name), name, size)
 
-            return _kept(path, max_broken, *_read(path, load, size))
+            return *_read(path, load, size), []
     except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError) as error:
         raise InputError(
             f"{path} is not a whole zip file ({type(error).__name__}); {REMEDY}"
@@ -50,9 +49,9 @@ def read_bundle(path, max_broken):
         raise InputError(f"{path} cannot be unpacked ({type(error).__name__}); {REMEDY}") from None
 
 
-def read_folder(path, max_broken):
+def read_folder(path):
     """Return the Splats of an unbundled SOG whose meta.json is `path`; see `read_bundle`."""
-    return _kept(path, max_broken, *read_rows(path))
+    return *read_rows(path), []
 
 
 def read_rows(path):
@@ -66,12 +65,6 @@ def read_rows(path):
         raise InputError(f"{path} is too large for the meta.json of a SOG; check the path")
     size = sum(f.stat().st_size for f in path.parent.glob("*.webp") if f.is_file())
     return _read(path, load, size)
-
-
-def _kept(path, max_broken, splats, good):
-    """Return the usable splats, notes and how many were dropped."""
-    splats, broken = keep_good(path, splats, good, max_broken)
-    return splats, dropped_note(broken, len(splats)), broken
 
 
 # --- the archive ----------------------------------------------------------------------------------
@@ -121,47 +114,26 @@ def _unpack(path, archive, info, name, size):
 # --- meta.json and pictures -----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _Meta:
+class _Meta(Entry):
     """The values of a meta.json, each taken out only after a check."""
 
-    path: object
-    data: dict
+    remedy = REMEDY
 
     def group(self, key):
-        value = self.data.get(key)
-        if not isinstance(value, dict):
-            raise self.error(key, value, "an object with named values")
-        return _Meta(f"{self.path}: {key}", value)
-
-    def numbers(self, key, count, limit=1e6):
-        value = self.data.get(key)
-        numbers = [json_number(v) for v in value] if isinstance(value, list) else []
-        if len(numbers) != count or any(v is None or abs(v) > limit for v in numbers):
-            raise self.error(key, value, f"a list of {count} numbers")
-        return numbers
-
-    def number(self, key):
-        value = json_number(self.data.get(key))
-        if value is None:
-            raise self.error(key, self.data.get(key), "a number")
-        return value
+        return _Meta(self.label, key, self.get(key))
 
     def whole(self, key, low, high):
-        value = self.data.get(key)
+        value = self.get(key)
         if type(value) is not int or not low <= value <= high:
-            raise self.error(key, value, f"a whole number from {low} to {high}")
+            raise self.error(key, f"a whole number from {low} to {high}")
         return value
 
     def files(self, count):
-        names = self.data.get("files")
+        names = self.get("files")
         good = isinstance(names, list) and len(names) == count
         if not good or not all(isinstance(n, str) and _is_plain_name(n) for n in names):
-            raise self.error("files", names, f"a list of {count} names of .webp files beside it")
+            raise self.error("files", f"a list of {count} names of .webp files beside it")
         return names
-
-    def error(self, key, value, rule):
-        return InputError(f"{self.path}: {key} is {shown(value)}; it must be {rule}; {REMEDY}")
 
 
 def _is_plain_name(name):
@@ -170,16 +142,17 @@ def _is_plain_name(name):
 
 
 def _read(path, load, size):
-    meta = _Meta(path, _parse(path, load(META)))
-    first = meta.data.get("version") is None  # version 1 did not name itself
-    if not first and meta.data["version"] != 2:
-        raise meta.error("version", meta.data["version"], "2, or missing as in version 1")
+    meta = _Meta(path, "(SOG)", _parse(path, load(META)))
+    first = meta.get("version") is None  # version 1 did not name itself
+    if not first and meta.get("version") != 2:
+        raise meta.error("version", "2, or missing as in version 1")
     checked = {} if first else {"version": 2}
     if first:
-        shape = meta.group("means").data.get("shape")
+        means = meta.group("means")
+        shape = means.get("shape")
         count = shape[0] if isinstance(shape, list) and shape else None
         if type(count) is not int:
-            raise meta.error("means.shape", shape, "a list of whole numbers")
+            raise means.error("shape", "a list of whole numbers")
     else:
         count = meta.whole("count", 0, 1 << 40)
         checked["count"] = count
@@ -187,16 +160,12 @@ def _read(path, load, size):
     load_extra(path, KIND, "imagecodecs")
     pictures = _Pictures(path, load, count)
     checked |= _checked_splats(meta, pictures, first, count)
-    if "shN" in meta.data:
+    if "shN" in meta.values:
         checked["shN"] = _checked_harmonics(meta.group("shN"), pictures, first)
     with decoding(path, KIND):
         from gsply.sog_reader import sogread
 
-        data = sogread(pictures.bundle(checked))
-        rest = data.shN if data.shN is not None and data.shN.shape[1] else None
-        return activate(
-            data.means, data.scales, data.quats, data.opacities.reshape(-1), data.sh0, rest
-        )
+        return activated(sogread(pictures.bundle(checked)))
 
 
 def _parse(path, data):
@@ -221,8 +190,8 @@ def _checked_splats(meta, pictures, first, count):
     means, quats, scales, sh0 = (meta.group(k) for k in ("means", "quats", "scales", "sh0"))
     checked = {
         "means": {
-            "mins": means.numbers("mins", 3, LOG_LIMIT),
-            "maxs": means.numbers("maxs", 3, LOG_LIMIT),
+            "mins": means.array("mins", (3,)).tolist(),
+            "maxs": means.array("maxs", (3,)).tolist(),
             "files": pictures.take(means.files(2)),
         },
         "quats": {"files": pictures.take(quats.files(1))},
@@ -230,13 +199,13 @@ def _checked_splats(meta, pictures, first, count):
         "sh0": {"files": pictures.take(sh0.files(1))},
     }
     if not first:
-        checked["scales"]["codebook"] = scales.numbers("codebook", CODES)
-        checked["sh0"]["codebook"] = sh0.numbers("codebook", CODES)
+        checked["scales"]["codebook"] = scales.array("codebook", (CODES,)).tolist()
+        checked["sh0"]["codebook"] = sh0.array("codebook", (CODES,)).tolist()
         return checked
     checked["means"]["shape"] = [count, 3]
     for group, key, channels in ((scales, "scales", 3), (sh0, "sh0", 4)):
         for end in ("mins", "maxs"):
-            checked[key][end] = group.numbers(end, channels)
+            checked[key][end] = group.array(end, (channels,)).tolist()
     return checked
 
 
@@ -245,15 +214,15 @@ def _checked_harmonics(harmonics, pictures, first):
     if first:
         pictures.take([labels])
         pictures.take_palette(centroids, [PALETTE_ROW * n for n in BANDS.values()])
-        checked = {"mins": harmonics.number("mins"), "maxs": harmonics.number("maxs")}
+        checked = {end: harmonics.number(end, -MAX_LENGTH, MAX_LENGTH) for end in ("mins", "maxs")}
     else:
         bands = harmonics.whole("bands", 1, 3)
         palette = harmonics.whole("count", 1, PALETTE_LIMIT)
         pictures.take([labels])
         _, height = pictures.take_palette(centroids, [PALETTE_ROW * BANDS[bands]])
         if height * PALETTE_ROW < palette:
-            raise harmonics.error("count", palette, f"at most {height * PALETTE_ROW}")
-        codebook = harmonics.numbers("codebook", CODES)
+            raise harmonics.error("count", f"at most {height * PALETTE_ROW}")
+        codebook = harmonics.array("codebook", (CODES,)).tolist()
         checked = {"count": palette, "bands": bands, "codebook": codebook}
     return checked | {"files": [centroids, labels]}
 

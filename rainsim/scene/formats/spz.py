@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
-from rainsim.scene.formats.extra import decoding, load_extra
+from rainsim.scene.activate import require_believable
+from rainsim.scene.formats.extra import activated, decoding, load_extra
 
 KIND = "an SPZ file"
 REMEDY = "it is damaged, export it again"
@@ -30,7 +30,6 @@ GZIP_VERSIONS, ZSTD_VERSION = (
 MAX_POSITION_BITS = 24
 ANTIALIASED, EXTENDED = 1, 2  # flags
 EXTENSION_LIMIT = 1 << 16  # bytes behind the splats that are not read
-STEP = 1 << 20  # bytes that are unpacked at a time
 
 EXTENSION = struct.Struct("<II")  # type and bytes of its value
 AXES = 0xADBE0003  # type of the extension that names the axes, a uint32
@@ -39,8 +38,8 @@ DOCUMENTED = RIGHT + UP + 1
 UNSAID = "SPZ does not say its axes: taken for right, up, back (rub)"
 
 
-def read_spz(path, max_broken):
-    """Return the Splats of an SPZ file, notes and how many splats were dropped."""
+def read_spz(path):
+    """Return the Splats of an SPZ file, which are usable, and notes."""
     gzipped, header, packed = _read_head(path)
     _, version, count, degree, bits, flags, _ = header
     if version not in (GZIP_VERSIONS if gzipped else (ZSTD_VERSION,)):
@@ -74,13 +73,9 @@ def read_spz(path, max_broken):
         )
     with decoding(path, KIND), _plain_backend(gsply):
         data = gsply.read_spz(path)
-        rest = data.shN if degree else None
-        if data.means.shape != (count, 3) or (degree and rest.shape[1] != REST[degree]):
+        if data.means.shape != (count, 3) or (degree and data.shN.shape[1] != REST[degree]):
             raise InputError(f"{path} changed while it was read; try again")
-        splats, good = activate(
-            data.means, data.scales, data.quats, data.opacities.reshape(-1), data.sh0, rest
-        )
-    splats, broken = keep_good(path, splats, good, max_broken)
+        splats, good = activated(data)
     bits = (axes or DOCUMENTED) - 1
     splats = mirrored(splats, [bits & RIGHT, not bits & UP, bits & FORWARD])
     notes = [] if axes else [UNSAID]
@@ -88,7 +83,7 @@ def read_spz(path, max_broken):
         notes.append("SPZ says that the capture was trained with Mip-Splatting's screen filter")
     if others:
         notes.append("SPZ extensions beside that of the axes are not read")
-    return splats, [*notes, *dropped_note(broken, len(splats))], broken
+    return splats, good, notes
 
 
 def mirrored(splats, keeps):
@@ -164,27 +159,18 @@ def _check_gzip(path, packed, sizes):
     It is EXTENSION_LIMIT bytes at most, and nothing may follow the gzip stream. So a small file
     that unpacks to gigabytes is found before it is read.
     """
-    need = PACKED.size + sum(sizes)
-    stream, data, done, behind = zlib.decompressobj(31), packed, 0, b""
+    need, stream = PACKED.size + sum(sizes), zlib.decompressobj(31)
     try:
-        while not stream.eof:
-            piece = stream.decompress(data, STEP)
-            behind += piece[max(need - done, 0) :]
-            done += len(piece)
-            data = stream.unconsumed_tail
-            if done > need + EXTENSION_LIMIT:
-                raise InputError(
-                    f"{path} unpacks to more than the {need} bytes of its splats; {REMEDY}"
-                )
-            if not piece and not data:
-                break
+        data = stream.decompress(packed, need + EXTENSION_LIMIT + 1)
     except zlib.error:
         raise InputError(f"{path} is not whole gzip; {REMEDY}") from None
-    if not stream.eof or done < need:
-        raise InputError(f"{path} ends after {done} of {need} unpacked bytes; {REMEDY}")
+    if len(data) > need + EXTENSION_LIMIT:
+        raise InputError(f"{path} unpacks to more than the {need} bytes of its splats; {REMEDY}")
+    if not stream.eof or len(data) < need:
+        raise InputError(f"{path} ends after {len(data)} of {need} unpacked bytes; {REMEDY}")
     if stream.unused_data:
         raise InputError(f"{path} has {len(stream.unused_data)} bytes behind its end; {REMEDY}")
-    return behind
+    return data[need:]
 
 
 def _check_zstd(path, packed, sizes):

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rainsim.errors import InputError, shown
-from rainsim.io.files import MAX_LENGTH, json_number, require_file
+from rainsim.io.files import number_array, require_file
 from rainsim.scene.formats.sog import META, read_rows
 
 LOD_META = "lod-meta.json"
@@ -146,18 +146,15 @@ def _leaves(path, tree, levels, files):
 
 
 def _box(path, bound):
-    ends = []
-    for end in ("min", "max"):
-        values = bound.get(end) if isinstance(bound, dict) else None
-        numbers = [json_number(v) for v in values] if isinstance(values, list) else []
-        if len(numbers) != 3 or any(v is None or abs(v) > MAX_LENGTH for v in numbers):
-            raise InputError(
-                f"{path} has the bound {shown(bound)}; min and max must be three numbers; {REMEDY}"
-            )
-        ends += numbers
-    if any(low > high for low, high in zip(ends[:3], ends[3:], strict=True)):
+    ends = [bound.get(end) for end in ("min", "max")] if isinstance(bound, dict) else None
+    box = number_array(ends, (2, 3))
+    if box is None:
+        raise InputError(
+            f"{path} has the bound {shown(bound)}; min and max must be three numbers; {REMEDY}"
+        )
+    if (box[0] > box[1]).any():
         raise InputError(f"{path} has a bound whose min is above its max; {REMEDY}")
-    return ends
+    return box.ravel()
 
 
 def _runs(path, lods, levels, files):
@@ -185,13 +182,12 @@ def _sides(path, own, box, count):
     levels = count.shape[1]
     if own is None:
         return _judged_sides(box, count)
-    sides = [json_number(v) for v in own] if isinstance(own, list) else []
-    good = len(sides) == levels and all(v is not None and 0 <= v < MAX_LENGTH for v in sides)
-    if not good or sorted(sides) != sides:
+    sides = number_array(own, (levels,))
+    if sides is None or sides[0] < 0 or (np.diff(sides) < 0).any():
         raise InputError(
             f"{path}: {SIDES} is {shown(own)}; it must be {levels} rising lengths; {REMEDY}"
         )
-    return np.broadcast_to(np.array(sides, np.float32), count.shape)
+    return np.broadcast_to(sides.astype(np.float32), count.shape)
 
 
 def _judged_sides(box, count):

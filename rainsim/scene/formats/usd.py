@@ -8,7 +8,7 @@ schema has a value for each.
 import numpy as np
 
 from rainsim.errors import InputError
-from rainsim.scene.activate import activate, dropped_note, keep_good, require_believable
+from rainsim.scene.activate import activate, require_believable
 from rainsim.scene.formats import LEVEL, USD_SUFFIXES
 from rainsim.scene.formats.gltf import decomposed, placed
 from rainsim.scene.harmonics import turned
@@ -30,17 +30,17 @@ DEGREE = "radiance:sphericalHarmonicsDegree"
 HIGHEST = 3
 
 
-def read_usd_splats(path, max_broken):
-    """Return the Splats of a USD stage, notes and how many splats were dropped."""
+def read_usd_splats(path):
+    """Return the Splats of a USD stage, which are usable, and notes."""
     if path.suffix.lower() not in USD_SUFFIXES:
         raise InputError(
             f"{path} is USD; its name must end in {', '.join(USD_SUFFIXES)}; rename it"
         )
     require_usd(f"{path} is USD; reading it")
-    return apart(_read_stage, path, max_broken)
+    return apart(_read_stage, path)
 
 
-def _read_stage(path, max_broken):
+def _read_stage(path):
     with opened(path) as (stage, size):
         world = world_of(stage, path)
         prims = _prims(stage)
@@ -57,8 +57,7 @@ def _read_stage(path, max_broken):
         places = [_place(path, prim, world) for prim in prims]
         parts = [_read(path, *part) for part in zip(prims, arrays, places, strict=True)]
     read, good = zip(*parts, strict=True)
-    splats, broken = keep_good(path, joined(read), np.concatenate(good), max_broken)
-    return splats, [*notes, *dropped_note(broken, len(splats))], broken
+    return joined(read), np.concatenate(good), notes
 
 
 def files_of(path):
