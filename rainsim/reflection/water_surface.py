@@ -1,7 +1,6 @@
 """The water surface that pictures show: smooth where the solver's is made of wet and dry cells."""
 
 import math
-import weakref
 from typing import NamedTuple
 
 import numpy as np
@@ -65,14 +64,7 @@ def fine_relief(terrain):
         relief *= RELIEF / math.sqrt(len(RELIEF_WIDTHS))
         return {"relief": relief.astype(np.float32)}
 
-    found = _reliefs.get((shape, spacing))
-    if found is None:
-        found = cache.kept_arrays("relief", made, shape, spacing)["relief"]
-        _reliefs[shape, spacing] = found
-    return found
-
-
-_reliefs = weakref.WeakValueDictionary()  # windows of one size share theirs while one holds it
+    return cache.kept_arrays("relief", made, shape, spacing)["relief"]
 
 
 def water_surface(terrain, depth, relief, mirrors):
