@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.cuda.driver import Counted
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.warp import GROUP, THREADS, ballot, claim_row
@@ -307,7 +306,7 @@ class Impacts:
         self._corners = corner, corner + np.array([nx, ny, 0.0]) * surfaces.spacing
         self.surfaces = sent_surfaces(surfaces)
         self._now = Listed(field)
-        self._found, self._slots = Counted(slots, np.int32), slots
+        self._slots = slots
         self.make_room(room)
 
     def make_room(self, room):
@@ -352,7 +351,7 @@ class Impacts:
 
     def lacking(self):
         """Return how many hits the fullest list has no room for; waits."""
-        return max(int(self._found.read(self.lists.found).max()) - self.room, 0)
+        return max(int(self.lists.found.copy_to_host().max()) - self.room, 0)
 
 
 def sent_surfaces(surfaces):

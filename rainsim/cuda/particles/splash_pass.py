@@ -8,7 +8,6 @@ each piece.
 import numpy as np
 
 from rainsim.cuda import drops
-from rainsim.cuda.driver import Counted
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.streaks import view_of
@@ -147,7 +146,6 @@ class Splashes:
             "film": ((1,), np.float64), "least": ((1,), np.int32), "count": ((1,), np.int32),
         })  # fmt: skip
         self.lines = cuda.device_array((ROOM, 7), np.float64)
-        self._count = Counted(1, np.int32)
         self.alpha = cuda.device_array(streaks.alpha.shape, np.float32)
 
     def update(self, field, film):
@@ -179,4 +177,4 @@ class Splashes:
         )  # fmt: skip
         if (drips := self._streaks.drips) is not None:
             drips.gather(recent.surfaces, view, scene, water, count, self.lines)
-        return int(self._count.read(count)[0])
+        return int(count.copy_to_host()[0])
