@@ -361,7 +361,7 @@ class SequenceRenderer:
             self._renderer = self.make()
             self._notes = (
                 *sunken_notes(path, self._terrain, config),
-                *leaving_notes(self._renderer.conductor.wet_scene.scene, self._cameras),
+                *leaving_notes(self._renderer.conductor.wet_scene, self._cameras),
             )
         if self._taking is None:
             film = self._renderer.film(shots(), self._names)

@@ -8,6 +8,7 @@ and which ones is not seen in its depth. The drops that ring are listed on the r
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -131,7 +132,7 @@ def simulate(terrain, config, dtype=np.float32, first=None):
     wind = usual_wind(config), config.rain.roughness
     moving = MovingSurfaces(terrain, *wind)
     surfaces, exposure = moving.still, rain_exposure(terrain, *wind)
-    whole = _area(terrain, exposure)
+    area = float(exposure.sum()) * terrain.grid.cell_area
     by_keyframes = moved_water(terrain, config, exposure, begun)
     solver = water_solver(terrain, start, dtype)
     if first is None:
@@ -150,25 +151,16 @@ def simulate(terrain, config, dtype=np.float32, first=None):
         time = index / config.fps
         if index > number:
             before = (index - 1) / config.fps
-            rain, rate = weather.field(before, time), 0.0
-            if rain is not None:
-                middle = 0.5 * (before + time)
-                fall = mm_per_hour(weather.rate(middle))
-                opened = moving.thinned(exposure, middle)
-                rate = fall * opened
-                objects.take_even_rain(fall * (time - before))
-            solver.deposit(*objects.advance(before, time, weather))  # drips from objects
-            if rain is not None:
-                area = whole if opened is exposure else _area(terrain, opened)
-                drips = objects.landed(before, time)
-                rings = rings_of(ripples.size, rain, before, time, drips, area)
+            rate, drips, rings = rain_on(objects, weather, ripples.size, area, before, time)
+            solver.deposit(*drips)
+            if rings is not None:
                 ripples.advance(time - before, *rings)
+                solver.sources.shelter(moving.thinned(exposure, 0.5 * (before + time)))
             by_keyframes(solver, objects, before, time)
             report = solver.advance(time - before, rain=rate)
         deep = np.array(solver.depth, np.float32)
         flow = np.stack(solver.velocity).astype(np.float32, copy=False)
         ledger = objects.ledger(report, solver).as_dict()
-        rate = opened = None  # tens of MB that nobody needs while a frame is drawn
         yield SimState(
             index, time, deep, flow, ripples.slopes(), ripples.size, ledger,
             notes if index == number else (), *objects.falling(),
@@ -183,10 +175,6 @@ def ripple_tile(config, weather, depth, spacing):
     chord = mean_chord(depth, spacing, RIPPLE_DEPTHS[0])
     deep = puddle_depth(depth)
     return RippleTile(depth=deep, film=film, chord=chord, rate=rate, dtype=np.float32)
-
-
-def _area(terrain, share):
-    return float(share.sum()) * terrain.grid.cell_area
 
 
 def tops_of(terrain, config, start):
@@ -221,18 +209,39 @@ def warm_up(ripples, objects, weather, time=0.0):
         objects.advance(begin, end, weather)
 
 
+def rain_on(objects, weather, size, area, before, time):
+    """Let it rain on objects in an interval [s], and water fall from them.
+
+    Returns rate : float [m/s]. Of the rain.
+        drips : tuple of ndarray. What comes to the ground, see `Objects.advance`.
+        rings : tuple of ndarray or None. Without rain there are none; see
+            `rings_of`.
+    """
+    rate = mm_per_hour(weather.rate(0.5 * (before + time)))
+    objects.take_even_rain(rate * (time - before))
+    drips, rain = objects.advance(before, time, weather), weather.field(before, time)
+    if rain is None:
+        return rate, drips, None
+    return rate, drips, rings_of(size, rain, before, time, objects.landed(), area)
+
+
 def rings_of(size, rain, begin, end, drips=None, area=0.0):
     """Return what rings on a tile in an interval [s], as `ripples.tile_impacts` does.
 
     That is the rain on a level square of the tile's size [m], and its part of the `drips` that came
     to an `area` [m2].
     """
-    square = flat_surfaces(size, size, size / 8)
+    square = _square(size)
     drops = tile_impacts(impacts(rain, square, begin, end), square.area, size, end)
     if drips is None or area <= 0:
         return drops
     more = tile_impacts(drips, area, size, end)
     return tuple(np.concatenate(both) for both in zip(drops, more, strict=True))
+
+
+@lru_cache(2)
+def _square(size):
+    return flat_surfaces(size, size, size / 8)
 
 
 def _steps(duration, time):

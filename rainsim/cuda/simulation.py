@@ -1,6 +1,7 @@
 """Twin of `rainsim.simulation`: rain on terrain over time, its water never leaving the device.
 
-What rings on the tile, and what drips from objects, the host decides as on the CPU.
+What rings on the tile, and what drips from objects, the host decides as on the CPU, beside the
+drawing of the frame before.
 """
 
 from dataclasses import dataclass, replace
@@ -9,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim import simulation as host
-from rainsim.config.settings import mm_per_hour
 from rainsim.cuda.driver import one_fault
 from rainsim.cuda.grid import GpuWaterSolver
 from rainsim.cuda.rain.drip_list import DripList
@@ -17,8 +17,9 @@ from rainsim.cuda.rain.moving_surfaces import Shelter
 from rainsim.cuda.water.ripples import Ripples
 from rainsim.drops import Weather
 from rainsim.io.states import NO_DRIPS, NO_IDS
+from rainsim.jit import may_run_beside
 from rainsim.rain.exposure import rain_exposure
-from rainsim.rain.moving_surfaces import FRAMES_AHEAD
+from rainsim.rain.moving_surfaces import AHEAD, FRAMES_AHEAD
 from rainsim.water.keyframed import moved_water
 
 
@@ -109,7 +110,8 @@ class Simulation:
         self.water = GpuWaterSolver(start.solver, start.exposure)
         self.ripples = Ripples(start.tile, 1 / self.config.fps)
         self.drip_list = None if self._objects.drips is None else DripList()
-        self._shelter = None
+        self._area = self.water.sources.exposed * self.water.spacing**2
+        self._shelter, self._ahead = None, None
         if self.weather.rains and terrain.footprints:
             wind = host.usual_wind(self.config), self.config.rain.roughness
             self._shelter = Shelter(terrain, wind, self.water.sources)
@@ -124,35 +126,37 @@ class Simulation:
         drips = objects.falling() or (NO_DRIPS, NO_IDS)
         if self.drip_list is not None:
             self.drip_list.fill(*drips)
-        return DeviceState(
+        state = DeviceState(
             index, index / fps, water.sources.depth, self.ripples.moments, self.ripples.tile.size,
             objects.ledger(None, water).as_dict(), *drips, objects.top_water(),
             self._notes if index == 0 else (), self, index,
         )  # fmt: skip
+        # The host's part of the next step is done beside the drawing of this frame.
+        self._ahead = AHEAD.submit(self._rain_on, index + 1) if may_run_beside() else None
+        return state
 
     def _interval(self, index):
         return (index - 1) / self.config.fps, index / self.config.fps
 
+    def _rain_on(self, index):
+        """Return what `rainsim.simulation.rain_on` does for the step to a frame."""
+        size = self.ripples.tile.size
+        return host.rain_on(self._objects, self.weather, size, self._area, *self._interval(index))
+
     @one_fault()
     def _step(self, index):
         """Let it rain and flow from the frame before to the one of this number."""
-        water, objects, ripples = self.water, self._objects, self.ripples
-        before, time = self._interval(index)
-        rain, fall = self.weather.field(before, time), 0.0
-        if rain is not None:
-            fall = mm_per_hour(self.weather.rate(0.5 * (before + time)))
+        water, (before, time) = self.water, self._interval(index)
+        rate, drips, rings = self._rain_on(index) if self._ahead is None else self._ahead.result()
+        water.deposit(*drips)
+        if rings is not None:
             if self._shelter is not None:
                 frames = range(index, index + 1 + FRAMES_AHEAD)
                 self._shelter.move(*(0.5 * sum(self._interval(n)) for n in frames))
-            objects.take_even_rain(fall * (time - before))
-        water.deposit(*objects.advance(before, time, self.weather))
-        if rain is not None:
-            area, drips = water.sources.exposed * water.spacing**2, objects.landed(before, time)
-            rings = host.rings_of(ripples.tile.size, rain, before, time, drips, area)
-            ripples.ring(*rings[:2], rings[2] / (time - before))
-            ripples.advance()
-        self._by_keyframes(water, objects, before, time)
-        water.advance(time - before, rain=fall)
+            self.ripples.ring(*rings[:2], rings[2] / (time - before))
+            self.ripples.advance()
+        self._by_keyframes(water, self._objects, before, time)
+        water.advance(time - before, rain=rate)
 
 
 def simulate(terrain, config, start=None):

@@ -33,7 +33,7 @@ from rainsim.particles.streaks import draw_lines, drawing_buffers
 from rainsim.rain import poisson_cells
 from rainsim.rain.heightfield import GROUND
 from rainsim.rain.impacts import cubes_swept, landing, may_land, no_impacts
-from rainsim.rain.size_distribution import terminal_speed
+from rainsim.rain.size_distribution import CLASSES, terminal_speed
 from rainsim.scene.view import finest
 
 FARTHEST = 100.0  # m; beyond it no splash is drawn
@@ -42,6 +42,7 @@ _NEAREST = np.float32(0.05)  # m; what falls nearer to the camera is not drawn
 _REACH = np.float32(MARGIN)
 _ROOM = 1024  # lines that a worker lists before it draws
 _MOST_LINES = 400  # of one splash
+BOXES = 2 * CLASSES  # of cubes, see `Windows`
 LISTED = 4096  # splashes of a worker, at first: with too little room all are drawn again
 
 
@@ -56,12 +57,14 @@ class WaterDepth(NamedTuple):
     film: float
 
 
-class _Windows(NamedTuple):
-    """Where and when drops may have fallen whose splash shows, as two lists class by class.
+class Windows(NamedTuple):
+    """Where and when drops may have fallen whose splash shows, as BOXES of cubes, two a class.
 
-    starts, stops : float64 array (2, CLASSES) [s]. A class whose stop is not
-        after its start has no such drops.
-    first, last : int64 array (2, CLASSES, 3). First and last cubes.
+    Those of class b have the numbers b and CLASSES + b.
+
+    starts, stops : float64 array (BOXES,) [s]. A box whose stop is not after its
+        start has no such drops.
+    first, last : int64 array (BOXES, 3). First and last cubes.
     """
 
     starts: np.ndarray
@@ -113,9 +116,15 @@ def seen_splashes(field, surfaces, camera, time, exposure, water_depth, film, de
 def _run_pass(field, surfaces, camera, view, water, depth, alpha_out, more, room):
     """Draw, or with `room` return each worker's list of splashes: number, places and ids."""
     require_pictures(camera, depth, alpha_out)
-    windows, tasks = _windows(
-        field, surfaces, camera, view, water, max(float(depth.min()), line_raster.NEAR)
-    )
+    least = smallest = smallest_drop(water.film)
+    if not water.ground.max() > JET_FROM * smallest:
+        nearest = max(float(depth.min()), line_raster.NEAR) / finest(camera)
+        seen = splash.least_seen(nearest, view.exposure) / splash.LARGEST_SHARE
+        least = max(smallest, seen)
+    times = view.time, view.exposure
+    windows = recent_windows(field, surfaces, camera, *times, smallest, least)
+    tasks = poisson_cells.slab_tasks(windows.first, windows.last)
+    tasks = tasks[(windows.starts < windows.stops)[tasks[:, 0]]]
     columns, tiles, pictures = drawing_buffers(depth.shape)
     workers = len(pictures)
     found = np.zeros(workers, np.int64)
@@ -128,35 +137,30 @@ def _run_pass(field, surfaces, camera, view, water, depth, alpha_out, more, room
     return found, position, ids
 
 
-def _windows(field, surfaces, camera, view, water, nearest):
-    """Return the `_Windows` of impacts that may show, and their slabs of cubes as tasks.
+def smallest_drop(film):
+    """Return the diameter [m] of the smallest drop that splashes where all is that wet [m]."""
+    return splash.SMALLEST_ON_FILM if film > splash.WET_DEPTH else splash.SMALLEST_SPLASH
 
-    The first list has all whose crowns may still stand, the second those before near the camera,
-    whose droplets and jets may be in the air. `nearest` [m] is the least depth that shows. A task
-    is a list, a class and the number i of a slab.
+
+def recent_windows(field, surfaces, camera, time, exposure, smallest, least):
+    """Return the `Windows` of impacts that may show in an exposure.
+
+    The first box of a class has all whose crowns may still stand, the second those before near the
+    camera, whose droplets and jets may be in the air: of drops over `smallest` and `least` [m].
     """
-    time, exposure = view.time, view.exposure
-    smallest = splash.SMALLEST_ON_FILM if water.film > splash.WET_DEPTH else splash.SMALLEST_SPLASH
-    focal = finest(camera)
-    least = max(smallest, splash.least_seen(nearest / focal, exposure) / splash.LARGEST_SHARE)
-    if water.ground.max() > JET_FROM * smallest:
-        least = smallest
     largest = field.spectrum.edges[1:]  # of each class
     speeds = terminal_speed(largest)
     lately = time - crown_life(largest, speeds)
-    starts = np.stack(
-        [lately, np.where(largest > least, time - splash.longest_flight(speeds), lately)]
-    )
-    stops = np.stack([np.where(largest > smallest, time + exposure, lately), lately])
-    boxes, tasks = [], []
-    for n, reach in enumerate((FARTHEST, FINE_PIXEL * focal)):
+    before = np.where(largest > least, time - splash.longest_flight(speeds), lately)
+    stops = np.where(largest > smallest, time + exposure, lately)
+    windows = []
+    for start, stop, reach in (
+        (lately, stops, FARTHEST), (before, lately, FINE_PIXEL * finest(camera)),
+    ):  # fmt: skip
         region = footprint(camera, reach, MARGIN)
-        boxes.append(poisson_cells.swept_cubes(field, surfaces, starts[n], stops[n], region)[:2])
-        slabs = poisson_cells.slab_tasks(*boxes[n])
-        slabs = slabs[(starts[n] < stops[n])[slabs[:, 0]]]
-        tasks.append(np.column_stack([np.full(len(slabs), n), slabs]))
-    first, last = (np.stack(corners) for corners in zip(*boxes, strict=True))
-    return _Windows(starts, stops, first, last), np.concatenate(tasks)
+        first, last, _, _ = poisson_cells.swept_cubes(field, surfaces, start, stop, region)
+        windows.append(Windows(start, stop, first, last))
+    return Windows(*(np.concatenate(parts) for parts in zip(*windows, strict=True)))
 
 
 @jit.thorough_kernel
@@ -211,14 +215,14 @@ def _draw_slab(
     ids_out, picture,
 ):  # fmt: skip
     """Draw the splashes of the drops of one slab of cubes."""
-    m, b, i = task[0], task[1], task[2]
-    start, stop = windows.starts[m, b], windows.stops[m, b]
+    box, i = task[0], task[1]
+    b, start, stop = box % CLASSES, windows.starts[box], windows.stops[box]
     vx, vy, speed = field.velocity[b, 0], field.velocity[b, 1], abs(field.velocity[b, 2])
-    for j in range(windows.first[m, b, 1], windows.last[m, b, 1] + 1):
+    for j in range(windows.first[box, 1], windows.last[box, 1] + 1):
         k_first, k_last, lowest, highest = cubes_swept(b, i, j, start, stop, field, surfaces)
         if k_first > k_last:
             continue
-        if not _column_in_view(b, i, j, start, stop, lowest, highest, field, view):
+        if not column_in_view(b, i, j, start, stop, lowest, highest, field, view):
             continue
         for k in range(k_first, k_last + 1):
             cube = poisson_cells.Cube(b, i, j, k)
@@ -243,7 +247,7 @@ def _draw_slab(
 
 
 @jit.inlined_function
-def _column_in_view(size_class, i, j, start, stop, lowest, highest, field, view):
+def column_in_view(size_class, i, j, start, stop, lowest, highest, field, view):
     """Tell whether splashes of a column of cubes may show; see `impacts.cubes_swept`."""
     side, middle, duration = field.cube[size_class], 0.5 * (start + stop), stop - start
     vx, vy, vz = (
@@ -261,17 +265,24 @@ def _column_in_view(size_class, i, j, start, stop, lowest, highest, field, view)
 
 
 @jit.lean_function
+def seen_at(x, y, z, view):
+    """Tell whether a splash at a place may be in view, and how wide [m] a pixel is there."""
+    place = to_camera(view.rotation, view.eye, x, y, z)
+    pixel = place[2] / max(view.lens[line_raster.FX], view.lens[line_raster.FY])
+    return _ball_in_view(place, _REACH, view.planes), pixel
+
+
+@jit.lean_function
 def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids_out, picture):
     """List the lines of one impact, if they may show, and draw the list before it is full.
 
     `position_out` and `ids_out` take the impacts that have lines; `seen_out[0]` counts them, also
     those for which there is no room.
     """
-    place = to_camera(view.rotation, view.eye, impact.x, impact.y, impact.z)
-    if not _ball_in_view(place, _REACH, view.planes):
+    seen, pixel = seen_at(impact.x, impact.y, impact.z, view)
+    if not seen:
         return
     before = listed[0]
-    pixel = place[2] / max(view.lens[line_raster.FX], view.lens[line_raster.FY])
     list_splash(impact, pixel, view.exposure, listed, lines)
     if listed[0] == before:
         return

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from rainsim.constants import GRAVITY
 from rainsim.io import cache
-from rainsim.io.states import DRIP_COLUMNS
+from rainsim.io.states import DRIP_COLUMNS, NO_DRIPS, NO_IDS
 from rainsim.jit import device_function
 from rainsim.numerics.random import mix, subkey, uniform
 from rainsim.rain.heightfield import GROUND, OBSTACLE
@@ -28,6 +28,7 @@ CLIMB = 200.0  # m of detour along the object that a metre of climb is worth
 LEAST_KEPT = 1 << 18  # cells of a map whose drip points are kept; a smaller one takes .1 s
 KEPT = 0.45  # s that landed drops are remembered for their splashes
 _MOST_AT_ONCE = 64  # drops from one point in one step; more is a jet
+END = DRIP_COLUMNS.index("end")
 
 
 class Drips:
@@ -37,6 +38,8 @@ class Drips:
         part of a drop.
     held : float. Water on the objects [m3]: films, puddles, hanging drops, and
         water that can reach no edge.
+    airborne : float. Water in falling drips [m3].
+    landed : Impacts. The drops that came down in the last step.
     point : int32 array (ny, nx). The drip point that a cell's water goes to; -1
         for ground, -2 where it finds no edge.
     """
@@ -61,8 +64,8 @@ class Drips:
         under = surfaces.underside[rows, columns].astype(np.float64)
         self._falls = under - lands > STEP
         start = np.where(self._falls, under, lands)
-        self._places = np.stack([x, y, start, lands], axis=1)
-        self._x, self._y, self._from, self._to = self._places.T
+        self._places = np.stack([x, y, start, lands, self._diameter], axis=1)
+        self._height, self._fall_time = start - lands, fall_time(start - lands, self._diameter)
         self._next = self.point[self._row, self._column]  # drips on a lower object go on
         self._cells = np.bincount(self.point[self.point >= 0], minlength=count)
         self._stuck = np.count_nonzero(self.point == -2)  # cells
@@ -73,19 +76,14 @@ class Drips:
         self._drops = np.zeros(count, np.int64)
         self._lost = 0.0  # lies where no edge can be reached
         self._film = 0.0
-        self._listed = None
-        self._flight = _no_drops()
-        self._landed = _no_drops()
+        self._table, self._ids, self._site = NO_DRIPS, NO_IDS, np.zeros(0, np.int64)
+        self.airborne, self.landed = 0.0, None
+        self._until = -np.inf  # s, the end of the last step
 
     @property
     def held(self):
         """Water on the objects [m3]."""
         return float(self._store.sum()) + self._film + self._lost
-
-    @property
-    def airborne(self):
-        """Water in falling drips [m3]."""
-        return float(drop_volume(self._flight["diameter"]).sum())
 
     def hold(self, room, held):
         """Let the objects hold `room` [m3] more behind each point, of which `held` is there."""
@@ -115,41 +113,35 @@ class Drips:
         Returns row, column : int64 array (m,)
             volume : float64 array (m,) [m3]. What came to the ground.
         """
-        self._listed = None
-        gone, still = _split(self._flight, self._flight["end"] < stop)
-        self._flight = still
-        new = self._part(start, stop, np.asarray(wind), roughness)
-        early, later = _split(new, new["end"] < stop)
-        self._flight = _join(self._flight, later)
-        landed = _join(gone, early)
-        flows = ~self._falls
-        run_off = np.where(flows, self._store, 0.0)
-        self._store[flows] = 0.0
-        site = np.concatenate([landed["site"], np.flatnonzero(run_off)])
-        volume = np.concatenate([drop_volume(landed["diameter"]), run_off[run_off > 0]])
-        again = self._next[site]
-        self._receive(
-            np.bincount(again[again >= 0], volume[again >= 0], minlength=len(self._store))
+        kept = np.flatnonzero(self._table[:, END] >= min(self._until, stop - KEPT))
+        old, new = (self._table, self._ids, self._site), self._part(start, stop, wind, roughness)
+        # Each step makes new arrays: states hold those of the steps before.
+        self._table, self._ids, self._site = (
+            np.concatenate([a.take(kept, axis=0), b]) for a, b in zip(old, new, strict=True)
         )
+        end = self._table[:, END].copy()  # side by side they are read faster
+        hit = np.flatnonzero((end >= self._until) & (end < stop))
+        landed = drip_impacts(self._table[hit], self._ids[hit], self._surfaces, self._until, stop)
+        self.airborne = float(self._volume[self._site[end >= stop]].sum())
+        self._until, self.landed = stop, landed
+        walls = np.flatnonzero(~self._falls & (self._store > 0))
+        site = np.concatenate([self._site[hit], walls])
+        volume = np.concatenate([self._volume[self._site[hit]], self._store[walls]])
+        self._store[walls] = 0.0
+        again = self._next[site]
+        below, down = again >= 0, again == -1
+        self._receive(np.bincount(again[below], volume[below], minlength=len(self._store)))
         self._lost += float(volume[again == -2].sum())
-        down = again == -1
         row, column = self._row[site], self._column[site]
-        drops = len(landed["site"])
-        row[:drops], column[:drops] = self._blown(landed)
-        recent = self._landed["end"] >= stop - KEPT
-        self._landed = _join(_split(self._landed, recent)[0], landed)
+        # Drops land where the wind has taken them, unless that is on an object.
+        free = self.point[landed.row, landed.column] == -1
+        np.copyto(row[: len(hit)], landed.row, where=free)
+        np.copyto(column[: len(hit)], landed.column, where=free)
         return row[down], column[down], volume[down]
 
     def falling(self):
         """Return drips in the air and just landed, see `io.states.DRIP_COLUMNS`, and their ids."""
-        if self._listed is None:
-            both = _join(self._flight, self._landed)
-            table = np.empty((len(both["site"]), len(DRIP_COLUMNS)))
-            table[:, :4] = self._places[both["site"]]
-            for n, name in enumerate(("diameter", "begin", "end", "wind_x", "wind_y")):
-                table[:, 4 + n] = both[name]
-            self._listed = table, both["id"]
-        return self._listed
+        return self._table, self._ids
 
     def _receive(self, came):
         """Fill the films first, then the edges."""
@@ -158,39 +150,23 @@ class Drips:
         self._film += float(taken.sum())
         self._store += came - taken
 
-    def _blown(self, drops):
-        """Return the cells in which drops land: the foot of the edge or where wind takes them."""
-        site, surfaces = drops["site"], self._surfaces
-        x, y, _ = drip_end(
-            self._x[site], self._y[site],
-            *(drops[name] for name in ("diameter", "begin", "end", "wind_x", "wind_y")),
-        )  # fmt: skip
-        place = (y - surfaces.origin[1], x - surfaces.origin[0])
-        row, column = (np.floor(a / surfaces.spacing).astype(np.int64) for a in place)
-        inside = (row >= 0) & (row < surfaces.shape[0])
-        inside &= (column >= 0) & (column < surfaces.shape[1])
-        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-        inside &= self.point[row, column] == -1
-        return np.where(inside, row, self._row[site]), np.where(inside, column, self._column[site])
-
     def _part(self, start, stop, wind, roughness):
-        """Return the drops that part from their edges in an interval, evenly over it."""
-        count = np.where(self._falls, self._store / self._volume, 0.0).astype(np.int64)
-        count = np.minimum(count, _MOST_AT_ONCE)
-        self._store -= count * self._volume
-        site = np.repeat(np.arange(len(count)), count)
+        """Return the drops that part from their edges in an interval, evenly over it.
+
+        Returns table, ids, site : array (n, 9), (n,), (n,). See `falling`; the points.
+        """
+        full = np.flatnonzero(self._falls & (self._store >= self._volume))
+        count = self._store[full] / self._volume[full]
+        count = np.minimum(count, _MOST_AT_ONCE).astype(np.int64)
+        self._store[full] -= count * self._volume[full]
+        site, several = np.repeat([full, count], count, axis=1)
         within = np.arange(len(site)) - np.repeat(np.cumsum(count) - count, count)
         ids = subkey(self._key[site], self._drops[site] + within + 16)
-        self._drops += count
-        share = (within + uniform(ids)) / np.maximum(count[site], 1)
-        begin = start + (stop - start) * share
-        diameter = self._diameter[site]
-        end = begin + fall_time(self._from[site] - self._to[site], diameter)
-        wind = wind[:, None] * wind_at(0.5 * (self._from[site] - self._to[site]), roughness)
-        return {
-            "site": site, "diameter": diameter, "begin": begin, "end": end, "id": ids,
-            "wind_x": wind[0], "wind_y": wind[1],
-        }  # fmt: skip
+        self._drops[full] += count
+        begin = start + (stop - start) * ((within + uniform(ids)) / several)
+        blows = np.multiply.outer(wind_at(0.5 * self._height[site], roughness), wind)
+        end = begin + self._fall_time[site]
+        return np.column_stack([self._places[site], begin, end, blows]), ids, site
 
 
 @device_function
@@ -278,6 +254,11 @@ def drip_impacts(table, ids, surfaces, before, after):
 # ---- where water goes on an object
 
 
+def solid_cells(surfaces):
+    """Return the mask of the cells that have an object above the ground, (ny, nx)."""
+    return np.subtract(surfaces.top, surfaces.ground, dtype=np.float64) > LOWEST
+
+
 def _kept_catchments(surfaces):
     """Return the result of `_catchments`; that of a large map is kept for the next run."""
     if surfaces.top.size < LEAST_KEPT:
@@ -297,7 +278,7 @@ def _catchments(surfaces):
     """
     top = surfaces.top.astype(np.float64)
     ny, nx = top.shape
-    solid = top - surfaces.ground > LOWEST
+    solid = solid_cells(surfaces)
     point = np.full((ny, nx), -1, np.int32)
     if not solid.any():
         return point, np.zeros((0, 2), np.int64), np.zeros((0, 2), np.int64)
@@ -356,23 +337,3 @@ def _nearest_edge(top, solid, edges, spacing):
     reached = nearest >= 0  # else -9999
     source[cells[reached]] = cells[nearest[reached]]
     return source
-
-
-# ---- drops in the air, as arrays by name
-
-
-def _no_drops():
-    return {
-        "site": np.zeros(0, np.int64), "diameter": np.zeros(0), "begin": np.zeros(0),
-        "end": np.zeros(0), "id": np.zeros(0, np.uint64), "wind_x": np.zeros(0),
-        "wind_y": np.zeros(0),
-    }  # fmt: skip
-
-
-def _split(drops, which):
-    """Return the drops that `which` selects, and the remaining drops."""
-    return {k: v[which] for k, v in drops.items()}, {k: v[~which] for k, v in drops.items()}
-
-
-def _join(a, b):
-    return {k: np.concatenate([a[k], b[k]]) for k in a}

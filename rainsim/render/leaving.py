@@ -6,14 +6,12 @@ there at will.
 
 import numpy as np
 
-from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.cameras import resize_to
 from rainsim.shading.visibility import views_of_splats
 
 WIDTH = 162  # px of the pictures that are looked at
 LEAST_SEEN = 2  # cameras: what fewer saw is badly seen
 BEHIND = -0.1  # cosine between a surface as it is seen and the mean way to those cameras
-NEAR = 0.02  # m from the camera, within which nothing is drawn
 MUCH = 0.2  # share of a picture that is said
 HARDLY_SEEN = "was seen by hardly any camera of the capture"
 MOST_LOOKED_AT = 48  # cameras of a path, evenly spaced
@@ -22,15 +20,13 @@ MOST_LOOKED_AT = 48  # cameras of a path, evenly spaced
 class Leaving:
     """Tells how much of pictures is badly seen.
 
-    scene : Scene. With cameras, without the splats of the captured sky: little is
-        known of them, and they are not drawn.
-    views : Views. Of its splats.
+    capture : DrawnCapture
+    views : Views. Of the scene's splats.
     """
 
-    def __init__(self, scene, views):
-        self._near = NEAR / scene.ground_frame.meters_per_unit
+    def __init__(self, capture, views):
+        self._capture = capture
         self._few, self._toward = views.seen < LEAST_SEEN, views.toward
-        self._rasterizer = Rasterizer(prepare(scene.splats))
 
     def share(self, camera):
         """Return the share of a picture that is badly seen, 0 to 1.
@@ -40,31 +36,35 @@ class Leaving:
 
         camera : Camera. In the capture frame.
         """
-        layers = self._rasterizer.draw(resize_to(camera, WIDTH), self._near, hit=True)
-        shows = layers.hit >= 0
+        layers = self._capture.layers(resize_to(camera, WIDTH), hit=True)
+        shows = (layers.hit >= 0) & (layers.hit < len(self._few))  # actors lie behind
         which, normal = layers.hit[shows], layers.normal[shows]
         facing = normal @ camera.camera_from_world[:3, :3].astype(np.float32)
         behind = np.einsum("ij,ij->i", facing, self._toward[which].astype(np.float32)) < BEHIND
         return float(np.count_nonzero(behind | self._few[which]) / shows.size)
 
 
-def leaving_of(scene):
-    """Return the `Leaving` of a scene; None where nothing is known: it has no captured cameras."""
+def leaving_of(wet_scene):
+    """Return the `Leaving` of a WetScene; None where nothing is known: it has no captured cameras.
+
+    Splats of the captured sky are neither counted nor drawn: little is known of them.
+    """
+    scene = wet_scene.scene
     views = None if scene.pages is not None else views_of_splats(scene)
-    return None if views is None else Leaving(scene, views)
+    return None if views is None else Leaving(wet_scene.capture, views)
 
 
-def leaving_notes(scene, cameras):
+def leaving_notes(wet_scene, cameras):
     """Return notes on cameras that leave the capture, a tuple of str.
 
-    scene : Scene. See `Leaving`.
+    wet_scene : WetScene
     cameras : sequence of Camera. Of all frames, or one for all, in the capture
         frame.
     """
-    own = {camera.position.tobytes() for camera in scene.cameras}
+    own = {camera.position.tobytes() for camera in wet_scene.scene.cameras}
     if all(camera.position.tobytes() in own for camera in cameras):
         return ()
-    leaving = leaving_of(scene)
+    leaving = leaving_of(wet_scene)
     if leaving is None:
         return ()
     step = -(-len(cameras) // MOST_LOOKED_AT)

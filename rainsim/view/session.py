@@ -292,7 +292,7 @@ class Session:
         if not self.is_ready or not self.scene.cameras:
             return None
         if self._leaving is None:
-            self._leaving = leaving_of(self.renderer.conductor.wet_scene.scene) or False
+            self._leaving = leaving_of(self.renderer.conductor.wet_scene) or False
         return self._leaving.share(self.camera_of(view, width, height)) if self._leaving else None
 
     def _simplify(self, simple):

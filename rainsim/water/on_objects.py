@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from rainsim.drops import GROUND
-from rainsim.rain.dripping import LOWEST, Drips, drip_impacts
+from rainsim.rain.dripping import Drips, solid_cells
 
 SMALLEST_ROOM = 1e-30  # m3, keeps tops without water from a division by zero
 
@@ -23,15 +23,14 @@ class Objects:
     def __init__(self, surfaces, start, tops, dried):
         rain, wet = start.rain, start.rain.past > 0 or start.water.level is not None
         self.drips = Drips(surfaces, rain.seed, wet) if rain.drips else None
-        self._surfaces, self._roughness = surfaces, rain.roughness
+        self._roughness = rain.roughness
         self.initial = self._came = self._returned = self._kept = self.inflow = 0.0
         self.tops = tops
         self._on_tops = tops.after(rain.past, dried)
         if self.drips is not None:
             self._fill_tops()
         else:
-            solid = surfaces.top - surfaces.ground > LOWEST
-            self._area = float(np.count_nonzero(solid)) * surfaces.spacing**2
+            self._area = float(np.count_nonzero(solid_cells(surfaces))) * surfaces.spacing**2
 
     def _fill_tops(self):
         """Give each drip point the room that the tops above it have, and the water of past rain."""
@@ -90,12 +89,11 @@ class Objects:
         self._returned += float(volumes.sum())
         return rows, columns, volumes
 
-    def landed(self, start, stop):
-        """Return the drips that came to the ground from `start` to `stop` [s], or None."""
+    def landed(self):
+        """Return the drops that came to the ground in the last step, or None."""
         if self.drips is None:
             return None
-        drips = drip_impacts(*self.drips.falling(), self._surfaces, start, stop)
-        return drips.take(drips.kind == GROUND)
+        return self.drips.landed.take(self.drips.landed.kind == GROUND)
 
     def falling(self):
         """Return the drips in the air and their ids, as `SimState` holds them."""

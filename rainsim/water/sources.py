@@ -34,7 +34,7 @@ class Sources:
         self.has_losses = bool(infiltration.any()) or len(drains[0]) > 0
         self._infiltrated = np.zeros(len(flow.tiles(True)))  # m, in each tile in one step
         self._rain_rate, self.rain_sum, self.unbooked_time = 0.0, 0.0, 0.0
-        self.exposure = None
+        self.exposure, self._most = None, 0.0
 
     def set_rain(self, rain):
         """Fill the map of rain rates [m/s] from a number or a map of shape (ny, nx)."""
@@ -43,7 +43,13 @@ class Sources:
             rain_map = field("rain", rain, inside.shape)
             inside[:] = rain_map if self.exposure is None else rain_map * self.exposure
             self.rain_sum = float(self._rain.sum(dtype=np.float64))
+            self._most = float(self._rain.max())
             self._rain_rate = rain if np.ndim(rain) == 0 else None
+
+    def shelter(self, share):
+        """Let a share (ny, nx) of the rain fall on each cell from the next `set_rain` on."""
+        if share is not self.exposure:
+            self.exposure, self._rain_rate = share, None
 
     def restore(self, arrays):
         """Take over film and rain of a saved state."""
@@ -63,7 +69,7 @@ class Sources:
 
     def most_rain(self):
         """Return the largest rate of the rain [m/s]."""
-        return float(self._rain.max())
+        return self._most
 
     def are_idle(self):
         """Whether they would change no number: no rain, and nothing that losses could take."""

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from rainsim.cuda import simulated
-from rainsim.cuda.drops import Impacts
 from rainsim.cuda.particles.splash_pass import Splashes
 from rainsim.cuda.particles.streaks import Streaks
 from rainsim.cuda.rain.drip_list import DripList
@@ -63,12 +62,12 @@ def test_pictures_are_those_of_the_cpu(listed, poisoned):
     assert np.abs(wanted - without).max() > 0.02
     np.testing.assert_allclose(streaks.alpha.copy_to_host(), wanted, atol=1e-5)
 
-    twin = Splashes(streaks, Impacts(FIELD, surfaces, 5))  # of drips alone
+    twin = Splashes(streaks)
     twin.alpha.copy_to_device(poisoned((height, width)))
-    twin.update(FIELD, film)
-    twin.draw(water)
+    shutter = FIELD, surfaces, camera, time, exposure
+    twin.draw(*shutter, water, film)
     landed = drip_impacts(table, ids, surfaces, time - 0.12, time + exposure)
-    few = RainField(RainSpectrum(1e-6), seed=4)
-    draw_splashes(few, surfaces, camera, time, exposure, water, film, depth, wanted, more=landed)
-    assert wanted.max() > 0.02 and (wanted > 1e-4).sum() > 10
+    draw_splashes(*shutter, water, film, depth, without)
+    draw_splashes(*shutter, water, film, depth, wanted, more=landed)
+    assert (wanted - without).max() > 0.02 and (wanted - without > 1e-4).sum() > 10
     np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=1e-5)

@@ -97,6 +97,16 @@ def test_what_moves_over_the_water_is_followed():
     assert np.abs(without.depth.copy_to_host() - depth).max() > 1e-6
 
 
+def test_what_fails_beside_the_drawing_is_raised_by_the_next_step(monkeypatch):
+    config = Config().replace(rate=mm_per_hour(20.0), extent=0.5, spacing=0.1, scheme="lean")
+    run = twin.simulate(extract_terrain(tiny_scene(), config), config)
+    monkeypatch.setattr(twin, "may_run_beside", lambda: True)
+    monkeypatch.setattr(simulation, "rain_on", lambda *_: 1 / 0)
+    next(run)
+    with pytest.raises(ZeroDivisionError):
+        next(run)
+
+
 def test_rings_on_cells_that_cannot_be_transformed_are_refused():
     with pytest.raises(ParameterError, match="power of two"):
         Ripples(RippleTile(cells=24), 1 / 30)

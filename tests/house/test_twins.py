@@ -9,7 +9,6 @@ CUDA_ONLY = {
     "launch.py",  # launches by the driver
     "moving_map.py",  # windows of a map that are sent
     "kernel_cache.py",  # machine code on disk, by numba-cuda's classes
-    "rain/impact_history.py",  # hits of the last frames, which the CPU computes again
     "rain/drip_list.py",  # drips in the air, which the CPU keeps in one array
     "render/device_tables.py",  # maps and numbers that the passes read
     "splatting/sort.py",  # the sort of all tiles' entries at once

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
-from rainsim.cuda.drops import BLOCKS, arrays_of, class_of, sent_surfaces
+from rainsim.cuda.drops import BLOCKS, arrays_of, box_of, sent_surfaces
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.line_raster import TILE, read_depth, resolve
@@ -56,7 +56,7 @@ def view_of(sent):
 @cuda.jit(device=True)
 def _cube_of(task, counts, air):
     """Return the class and the place (i, j, k) of cube number `task` of all classes' boxes."""
-    b, rest = class_of(task, counts)
+    b, rest = box_of(task, counts)
     deep = air.last[b, 2] - air.first[b, 2] + 1
     wide = air.last[b, 1] - air.first[b, 1] + 1
     k = rest % deep
@@ -191,7 +191,7 @@ class Streaks:
     surfaces : Surfaces or HeightFields. The latter of device arrays.
     drips : cuda.rain.drip_list.DripList or None. Drips that are drawn too.
     spray : cuda.particles.spray.Spray or None. What tyres throw, drawn too.
-    surfaces : HeightFields. Of device arrays.
+    field, surfaces, view : DropField, HeightFields, ShutterView. Of device arrays.
     """
 
     def __init__(self, field, surfaces, width, height):
@@ -212,7 +212,7 @@ class Streaks:
         self.alpha = cuda.device_array((height, width), np.float32)
         self._make_room(ROOM)
         self.picture = cuda.to_device(np.zeros(width * height, np.int64))
-        self.view, self._air, self._field = (
+        self.view, self._air, self.field = (
             kind(*(self.now[name] for name in kind._fields))
             for kind in (ShutterView, SeenAir, poisson_cells.DropField)
         )
@@ -264,9 +264,9 @@ class Streaks:
         threads = (1, 1) if SIMULATED else (line_raster.DEPTH_TILE, line_raster.DEPTH_TILE)
         read_depth[(columns, rows), threads](depth, scene.columns, scene.tiles)
         list_drops[BLOCKS, THREADS](
-            now["counts"], self._air, self.view, self._field, scene, *self._sought, self._paths
+            now["counts"], self._air, self.view, self.field, scene, *self._sought, self._paths
         )
-        follow[BLOCKS, THREADS](*self._sought, self.view, self._field, self.surfaces, self._paths)
+        follow[BLOCKS, THREADS](*self._sought, self.view, self.field, self.surfaces, self._paths)
         draw_field[BLOCKS, GROUPS](now["sought"], self._paths, lens, scene, self.picture)
         if self.drips is not None:
             self.drips.draw(self.view, scene, self.picture)

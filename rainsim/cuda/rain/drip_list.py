@@ -7,12 +7,11 @@ import numpy as np
 
 from rainsim.cuda.drops import BLOCKS
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.cuda.particles.splash_pass import focal_of, seen_at, still_shows
 from rainsim.cuda.particles.streaks import view_of
 from rainsim.cuda.warp import GROUPS
 from rainsim.io.states import DRIP_COLUMNS, NO_DRIPS, NO_IDS
 from rainsim.particles.splash import LONGEST_LIFE, Impact
-from rainsim.particles.splash_pass import list_splash
+from rainsim.particles.splash_pass import list_splash, seen_at
 from rainsim.particles.streaks import Line, draw_line
 from rainsim.rain.dripping import drip_end, drip_line
 
@@ -54,10 +53,9 @@ def draw_drips(drips, sent, scene, picture):
 
 
 @cuda_kernel
-def list_drip_splashes(drips, surfaces, sent, scene, water, count_out, lines_out):
+def list_drip_splashes(drips, surfaces, sent, water, count_out, lines_out):
     """List the marks of drips that have landed, as `splash_pass.list_splashes` does."""
-    time, exposure, focal = sent.time[0], sent.exposure[0], focal_of(sent.lens)
-    table = drips.table
+    time, exposure, table = sent.time[0], sent.exposure[0], drips.table
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
     for n in range(first, drips.count, cuda.gridDim.x * cuda.blockDim.y):
         diameter, z, age = table[n, DIAMETER], table[n, BOTTOM], time - table[n, END]
@@ -67,16 +65,15 @@ def list_drip_splashes(drips, surfaces, sent, scene, water, count_out, lines_out
             table[n, X], table[n, Y], diameter, table[n, BEGIN], table[n, END],
             table[n, DRIP_WIND_X], table[n, DRIP_WIND_Y],
         )  # fmt: skip
-        deep = seen_at(x, y, z, sent, scene)
-        if not deep > 0.0:
+        seen, pixel = seen_at(x, y, z, sent)
+        if not seen:
             continue
         row, column, _ = cell_of(x, y, surfaces)
         under = water.film[0]
         if surfaces.top[row, column] <= surfaces.ground[row, column]:
             under += np.float64(water.ground[row, column])
-        if still_shows(diameter, speed, under, age, deep / focal):
-            impact = Impact(drips.ids[n], x, y, z, 0.0, 0.0, speed, diameter, under, age)
-            list_splash(impact, deep / focal, exposure, count_out, lines_out)
+        impact = Impact(drips.ids[n], x, y, z, 0.0, 0.0, speed, diameter, under, age)
+        list_splash(impact, pixel, exposure, count_out, lines_out)
 
 
 class DripList:
@@ -94,6 +91,6 @@ class DripList:
         """Queue the drawing into the streaks' picture; see `draw_drips`."""
         draw_drips[BLOCKS, GROUPS](self._there, view, scene, picture)
 
-    def gather(self, surfaces, view, scene, water, count, lines):
+    def gather(self, surfaces, view, water, count, lines):
         """Queue the listing of their splashes; see `list_drip_splashes`."""
-        list_drip_splashes[BLOCKS, GROUPS](self._there, surfaces, view, scene, water, count, lines)
+        list_drip_splashes[BLOCKS, GROUPS](self._there, surfaces, view, water, count, lines)

@@ -1,7 +1,5 @@
 """Twin of `rainsim.render.rain_pass`: streaks, splashes and fog of one frame after another."""
 
-import math
-
 import numpy as np
 
 from rainsim.cuda.frame_uniforms import FrameUniforms
@@ -10,7 +8,6 @@ from rainsim.cuda.particles.splash_pass import Splashes
 from rainsim.cuda.particles.spray import Spray
 from rainsim.cuda.particles.streaks import Streaks
 from rainsim.cuda.rain.drip_list import DripList
-from rainsim.cuda.rain.impact_history import RecentImpacts
 from rainsim.cuda.rain.moving_surfaces import MovingHeights
 from rainsim.drops import RainField, RainSpectrum
 from rainsim.particles.fog import FOG_STEPS, NO_FOG, fog_table
@@ -19,7 +16,6 @@ from rainsim.particles.splash import WET_FILM
 from rainsim.particles.spray import spray_seen
 from rainsim.render.rain_pass import drawn_reach, lens_of
 
-AHEAD = 2  # intervals after a frame's time that its exposure sees
 NO_RAIN = RainField(RainSpectrum(0.0))
 
 
@@ -33,8 +29,7 @@ class RainPass:
         if footprints:
             self._heights = MovingHeights(ground.moving.still, footprints)
             self._spray = Spray() if conductor.cars else None
-        self._streaks = self._splashes = self._impacts = self._drips = None
-        self._listed_for = None  # the weather of `_impacts`
+        self._streaks = self._splashes = self._drips = None
         self._fog, self._fog_of = FrameUniforms({"fog": ((FOG_STEPS + 3,), np.float32)}), ()
         self._none = None  # a picture without rain
 
@@ -84,23 +79,14 @@ class RainPass:
         drops.draw(depth)
         return drops.alpha, self._fog["fog"]
 
-    def land(self, drops, depth, time, field, surfaces, water, paving):
+    def land(self, drops, depth, ground_camera, time, render, field, surfaces, water, paving):
         """Queue what `draw_landing` draws; return it as a device array; waits."""
         if field is None:
             return self._nothing(depth.shape)
-        conductor = self._conductor
-        if self._listed_for is not conductor.weather:
-            self._listed_for, self._splashes = conductor.weather, None
-            self._impacts = RecentImpacts(conductor.weather, surfaces, conductor.config.fps, AHEAD)
-            if self._heights is not None:
-                self._impacts.surfaces = self._heights.fields
-        if self._heights is not None:  # what drops have met may have moved
-            self._impacts.forget()
-        self._impacts.update(math.floor(time * conductor.config.fps + 1e-6))
         if self._splashes is None:
-            self._splashes = Splashes(drops, self._impacts)
-        self._splashes.update(field, WET_FILM * paving)
-        self._splashes.draw(water)
+            self._splashes = Splashes(drops)
+        shutter = ground_camera, time, render.exposure
+        self._splashes.draw(field, surfaces, *shutter, water, WET_FILM * paving)
         return self._splashes.alpha
 
     def _on_device(self, drips):
