@@ -158,7 +158,6 @@ class WaterSolver:
             self.flow = (LeanFlow if scheme == "lean" else AccurateFlow)(*common, viscosity)
         self.conditions = place_all(conditions, bed, self.flow.pad, self.flow.is_open)
         self.sources = Sources(self.flow, self.spacing**2, storage, infiltration, drains)
-        self._standing = np.zeros((3, len(self.flow.tiles(True))))  # see `sum_tiles`
         self.set_state(0.0)
 
     # -- state ---------------------------------------------------------------------------------
@@ -430,15 +429,10 @@ class WaterSolver:
     # -- account -------------------------------------------------------------------------------
 
     def _book_standing_water(self):
-        """Write the water on the ground and in its film [m3] into the ledger.
-
-        Only tiles that changed since the last call are summed again.
-        """
-        area, flow, water = self.spacing**2, self.flow, self.flow.water
-        which = flow.changed_tiles()
-        sums = np.empty((3, len(which)))
-        sum_tiles(flow.tiles(True)[which], water.h, water.remainder, self.sources.film, *sums)
-        self._standing[:, which] = sums
+        """Write the water on the ground and in its film [m3] into the ledger."""
+        area, water, tiles = self.spacing**2, self.flow.water, self.flow.tiles(True)
+        self._standing = np.empty((3, len(tiles)))  # see `sum_tiles`
+        sum_tiles(tiles, water.h, water.remainder, self.sources.film, *self._standing)
         self._ledger.ground = float(self._standing[0].sum()) * area
         self._ledger.film = float(self._standing[1].sum()) * area
 

@@ -27,10 +27,8 @@ NEAR = np.float32(0.05)  # m: a ray that comes towards the camera ends here
 FIRST_STEP = np.float32(1 + 1 / 32)
 BISECTIONS = 4
 BLOCK = 8  # px, side of the blocks whose depths let a march jump
-WIDE = 4  # blocks, side of the wide blocks that are tried first
-BLOCK_BITS, WIDE_BITS = np.uint32(3), np.uint32(5)  # of a pixel's place that are within either
-# px: two places no farther apart lie in one block, or in one wide one, or in neighbours.
-JUMP, WIDE_JUMP = np.float32(7), np.float32(31)
+BLOCK_BITS = np.uint32(3)  # of a pixel's place that are within one
+JUMP = np.float32(7)  # px: two places no farther apart lie in one block or in neighbours
 KINDS = 4  # a block alone, with its eastern neighbour, with its southern one, with all three
 PLAIN_STEPS = 4  # that are taken where a jump was not possible, before another is tried
 _ONE, _TWO = np.uint32(1), np.uint32(2)
@@ -66,19 +64,16 @@ def march(blocks, view, start, direction, settings):
     if not end >= ONE:
         return -ONE
     rows, columns = np.uint32(-(-height // BLOCK)), np.uint32(-(-width // BLOCK))
-    rows_wide = np.uint32((rows + WIDE - 1) // WIDE)
-    columns_wide = np.uint32((columns + WIDE - 1) // WIDE)
-    many, none = np.uint32(KINDS * rows * columns), np.uint32(0)
-    short, long = np.float32(math.floor(JUMP / stride)), np.float32(math.floor(WIDE_JUMP / stride))
+    jump = np.float32(math.floor(JUMP / stride))
     right, bottom = w - ONE, h - ONE
     before = iz + diz * FIRST_STEP  # 1/z, as all depths of the ray that follow
     step, t = ONE, FIRST_STEP + stride  # a float32: exact, and a graphics processor converts none
     u, v = u0 + du * t, v0 + dv * t
-    # A long jump, or where none is possible a short one, or else a few steps. No branch leaves the
-    # loop's body: the lanes of a graphics processor come together again after each turn.
-    is_wide, met = True, False
+    # A jump, or where none is possible a few steps. No branch leaves the loop's body: the lanes of
+    # a graphics processor come together again after each turn.
+    met = False
     while not met and t < end and u > -ONE and v > -ONE and u < w and v < h:
-        jump, is_free_here = long if is_wide else short, False
+        is_free_here = False
         last = FIRST_STEP + stride * (step + jump)
         far = iz + diz * last
         near, away = max(before, far), min(before, far)
@@ -88,18 +83,12 @@ def march(blocks, view, start, direction, settings):
             i, j = np.uint32(max(u, ZERO)), np.uint32(max(v, ZERO))
             k = np.uint32(min(max(u0 + du * last, ZERO), right))
             m = np.uint32(min(max(v0 + dv * last, ZERO), bottom))
-            is_free_here = is_free(
-                bounds, many if is_wide else none, rows_wide if is_wide else rows,
-                columns_wide if is_wide else columns, WIDE_BITS if is_wide else BLOCK_BITS,
-                i, j, k, m, near, away, thickness,
-            )  # fmt: skip
+            is_free_here = is_free(bounds, rows, columns, i, j, k, m, near, away, thickness)
         if is_free_here:
-            before, is_wide = far, True
+            before = far
             step += jump + ONE
             t = FIRST_STEP + stride * step
             u, v = u0 + du * t, v0 + dv * t
-        elif is_wide:
-            is_wide = False
         else:
             stay = PLAIN_STEPS
             while stay > 0 and t < end and u > -ONE and v > -ONE and u < w and v < h:
@@ -174,29 +163,27 @@ def bisected(depth, u0, v0, iz, du, dv, diz, a, b):
 
 
 @device_function
-def is_free(bounds, first, rows, columns, bits, i, j, k, m, nearest, farthest, thickness):
+def is_free(bounds, rows, columns, i, j, k, m, nearest, farthest, thickness):
     """Tell whether a ray cannot hit anything between pixels (i, j) and (k, m).
 
-    They lie in one block, or in neighbours, of 1 << `bits` pixels; the bounds of these begin at
-    `first`. `nearest` and `farthest` are 1/z of the ray there.
+    They lie in one block or in neighbours. `nearest` and `farthest` are 1/z of the ray there.
     """
-    i, j, k, m = i >> bits, j >> bits, k >> bits, m >> bits
+    i, j, k, m = i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS, m >> BLOCK_BITS
     kind = ((i ^ k) & _ONE) + ((j ^ m) & _ONE) * _TWO
-    at = np.uint32(first + (kind * rows + min(j, m)) * columns + min(i, k))
+    at = np.uint32((kind * rows + min(j, m)) * columns + min(i, k))
     return bounds[at, 0] * farthest > ONE or (bounds[at, 1] + thickness) * nearest < ONE
 
 
 def bounds_of(height, width):
     """Return the shape of a picture's `bounds_out`, see `block_bounds`."""
-    return sum(KINDS * -(-height // side) * -(-width // side) for side in (BLOCK, WIDE * BLOCK)), 2
+    return KINDS * -(-height // BLOCK) * -(-width // BLOCK), 2
 
 
 @cpu_kernel
 def block_bounds(depth, bounds_out):
     """Write the least and the greatest depth of blocks of pixels, for `march`.
 
-    First of the blocks, row by row, then of each with its neighbours, kind by kind; then the same
-    of the wide blocks.
+    First of the blocks, row by row, then of each with its neighbours, kind by kind.
 
     depth : float32 array (height, width) [m]. Infinite where nothing can be hit:
         that does not count.
@@ -223,30 +210,11 @@ def block_bounds(depth, bounds_out):
 @device_function
 def joined_at(bounds, rows, columns, at):
     """Return the value that `block_bounds` writes at place `at`, beyond the blocks themselves."""
-    side, wide = 1, columns
-    if at >= KINDS * rows * columns:
-        at -= KINDS * rows * columns
-        side, wide = WIDE, -(-columns // WIDE)
-        rows_wide = -(-rows // WIDE)
-        kind, at = at // (rows_wide * wide), at % (rows_wide * wide)
-    else:
-        kind, at = at // (rows * columns), at % (rows * columns)
-    return join_blocks(bounds, rows, columns, side, kind, at // wide, at % wide)
-
-
-@device_function
-def join_blocks(bounds, rows, columns, side, kind, j, i):
-    """Return the bounds of `kind` of the block of `side` by `side` blocks that has place (j, i)."""
-    high, wide = side * (1 + kind // 2), side * (1 + kind % 2)
-    return span_bounds(bounds, rows, columns, j * side, i * side, high, wide)
-
-
-@device_function
-def span_bounds(bounds, rows, columns, j, i, high, wide):
-    """Return the least and the greatest depth over `high` by `wide` blocks from (j, i) on."""
+    kind, at = at // (rows * columns), at % (rows * columns)
+    j, i = at // columns, at % columns
     low, most = np.float32(np.inf), np.float32(-np.inf)
-    for row in range(j, min(j + high, rows)):
-        for column in range(i, min(i + wide, columns)):
+    for row in range(j, min(j + 1 + kind // 2, rows)):
+        for column in range(i, min(i + 1 + kind % 2, columns)):
             at = row * columns + column
             low, most = min(low, bounds[at, 0]), max(most, bounds[at, 1])
     return low, most

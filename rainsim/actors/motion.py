@@ -16,7 +16,6 @@ from rainsim.actors.wheels import wheels_of
 from rainsim.errors import ParameterError
 
 STILL = 1e-9  # of a pose's numbers: two that are nearer count as one pose
-REMEMBERED = 64  # times whose poses a track keeps
 COMING = 0.1  # s after the first key whose mean velocity the time before the key has
 BEFORE = 1.5  # s before its first key that an actor has moved already
 
@@ -106,19 +105,6 @@ class Track:
 
     def pose(self, time):
         """Return the `Pose` at a time [s], whether the actor is visible or not."""
-        found = self._found.get(time)
-        if found is None:
-            if len(self._found) >= REMEMBERED:
-                self._found.clear()
-            found = self._found[time] = self._pose(time)
-        return found
-
-    @cached_property
-    def _found(self):
-        """The poses of the last times: a frame asks for each several times."""
-        return {}
-
-    def _pose(self, time):
         turns, angles, about = self._turns
         k = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
         if time <= self.time[0] or k == len(self.time) - 1:

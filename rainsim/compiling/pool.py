@@ -11,7 +11,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
 from collections import defaultdict
 from pathlib import Path
 
@@ -22,8 +21,6 @@ CONTAINER = Path("/sys/fs/cgroup")  # control group of a container, version 2
 LIMIT_AND_USE = ("memory.max", "memory.current")
 BYTES_OF_A_PROCESS = 700 << 20  # memory of one that compiles the largest kernels
 VARIABLE = "RAINSIM_COMPILE_PROCESSES"
-TICK = 0.5  # s between reports of progress
-NEARLY = 0.95  # of a kernel's weight: a running one counts as no more
 
 
 def cores():
@@ -91,7 +88,6 @@ class _Job:
         self.seconds = sum(entry.seconds for entry in entries)
         self.first = any(entry.stage == TERRAIN for entry in entries)
         self.wanted = self.done = False
-        self.begun = None  # s of the clock
 
     def order(self):
         """The sort key: kernels that a run waits for, then its first ones; the longest first."""
@@ -103,7 +99,7 @@ class Pool:
 
     progress : callable, optional. progress(share, done, total, count): the share
         of the work from 0 to 1, kernels done and in all, processes; called from
-        another thread.
+        other threads as kernels are done.
     environment : dict, optional. Variables that the processes get besides those
         of this one.
     compiled : int. Kernels compiled so far, each list of arguments counted.
@@ -127,8 +123,8 @@ class Pool:
             threading.Thread(target=self._serve, args=(process,), daemon=True)
             for process in self._processes
         ]
-        self._threads.append(threading.Thread(target=self._tick, daemon=True))
         waiting.POOLS.append(self)
+        self._report()
         for thread in self._threads:
             thread.start()
 
@@ -202,7 +198,6 @@ class Pool:
                 return None
             job = min(self._queue, key=_Job.order)
             self._queue.remove(job)
-            job.begun = time.monotonic()
             return job
 
     def _finish(self, job, answer):
@@ -211,39 +206,24 @@ class Pool:
             self.compiled += answer["compiled"]
             self.seconds += answer["seconds"]
             self.stale += answer["stale"]
+            self._report()
             self._changed.notify_all()
 
     def _give_up_alone(self):
         """End the wait for kernels that no process is left to compile."""
         with self._changed:
-            others = [t for t in self._threads[:-1] if t is not threading.current_thread()]
+            others = [t for t in self._threads if t is not threading.current_thread()]
             if not any(thread.is_alive() for thread in others):
                 for job in self._queue:
                     job.done = True
                 self._queue.clear()
+                self._report()
                 self._changed.notify_all()
 
-    def _tick(self):
-        """Report progress until all is done; kernels at work count by the time they have had."""
+    def _report(self):
+        """Report how much is done; with the lock held, so that reports come in order."""
+        done = [job.seconds for job in self._jobs.values() if job.done]
         total = sum(job.seconds for job in self._jobs.values()) or 1.0
-        while True:
-            with self._changed:
-                done = [job for job in self._jobs.values() if job.done]
-                ended = self._closed or len(done) == len(self._jobs)
-                share = sum(job.seconds for job in done) / total
-                share += sum(self._share(job) for job in self._jobs.values()) / total
-            if self._closed:
-                return
-            share = 1.0 if ended else min(share, 1.0)
+        if not self._closed:
+            share = 1.0 if self.finished else sum(done) / total
             self._progress(share, len(done), len(self._jobs), self.count)
-            if ended:
-                return
-            with self._changed:
-                self._changed.wait(TICK)
-
-    @staticmethod
-    def _share(job):
-        """Return the seconds of a kernel at work that are probably behind it."""
-        if job.done or job.begun is None:
-            return 0.0
-        return min(time.monotonic() - job.begun, NEARLY * job.seconds)

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.cuda.driver import Counted
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.warp import GROUP, THREADS, ballot, claim_row
@@ -272,7 +271,7 @@ class Impacts:
             "found": ((1,), i4),
         })  # fmt: skip
         self._windows = Windows(*(now[name] for name in Windows._fields))
-        self._found, self.room = Counted(1, i4), 0
+        self.room = 0
 
     def _make_room(self, room):
         """Take another list, an empty one with room for so many drops."""
@@ -308,7 +307,7 @@ class Impacts:
             now.send()  # which blanks the counts
             seek[BLOCKS, THREADS](*where, streaks.view, *rain, *self._sought)
             fill_impacts[BLOCKS, THREADS](*where, *self._sought, *rain, *self.listed)
-            lacking = int(self._found.read(now["found"])[0]) - self.room
+            lacking = int(now["found"].copy_to_host()[0]) - self.room
             if lacking <= 0:
                 return
             room = self.room + 2 * lacking

@@ -2,29 +2,27 @@
 
 import numpy as np
 
-from rainsim.cuda.driver import Staging, aligned
-from rainsim.cuda.jit import SIMULATED, cuda
+from rainsim.cuda.jit import cuda
+
+ALIGN = 16  # bytes
 
 
 class FrameUniforms:
     """Named arrays of given (shape, dtype), in `host` and on the device in `device`."""
 
     def __init__(self, arrays):
-        self.host, self.device = {}, {}
-        places, size = {}, 0
+        self.host, self.device, first = {}, {}, 0
+        sizes = {
+            name: int(np.prod(shape)) * np.dtype(dtype).itemsize
+            for name, (shape, dtype) in arrays.items()
+        }
+        self._set = np.zeros(sum(-(-size // ALIGN) * ALIGN for size in sizes.values()), np.uint8)
+        self._there = cuda.to_device(self._set)
         for name, (shape, dtype) in arrays.items():
-            count = int(np.prod(shape)) * np.dtype(dtype).itemsize
-            places[name] = size, size + count
-            size += aligned(count)
-        self._set, self._staging = np.zeros(size, np.uint8), Staging()
-        self._there = None if SIMULATED else cuda.to_device(self._set)
-        for name, (shape, dtype) in arrays.items():
-            first, end = places[name]
-            self.host[name] = self._set[first:end].view(dtype).reshape(shape)
-            if SIMULATED:
-                self.device[name] = cuda.to_device(self.host[name])
-            else:
-                self.device[name] = self._there[first:end].view(dtype).reshape(shape)
+            part = slice(first, first + sizes[name])
+            self.host[name] = self._set[part].view(dtype).reshape(shape)
+            self.device[name] = self._there[part].view(dtype).reshape(shape)
+            first += -(-sizes[name] // ALIGN) * ALIGN
 
     def __getitem__(self, name):
         return self.device[name]
@@ -35,9 +33,5 @@ class FrameUniforms:
             self.host[name][...] = value
 
     def send(self):
-        """Queue the copy of all arrays to the device."""
-        if SIMULATED:
-            for name, values in self.host.items():
-                self.device[name].copy_to_device(values)
-            return
-        self._staging.send(self._there, self._set)
+        """Copy all arrays to the device."""
+        self._there.copy_to_device(self._set)

@@ -61,11 +61,6 @@ def fast_device(function):
 if SIMULATED:
 
     @cuda.jit(device=True)
-    def float_bits(x):
-        """Return the bits of a float32 as an integer."""
-        return np.int64(np.float32(x).view(np.uint32))
-
-    @cuda.jit(device=True)
     def load4(array, i):
         """Return the four numbers of a float32 array from index i on, a multiple of 4."""
         return array[i], array[i + 1], array[i + 2], array[i + 3]
@@ -92,16 +87,6 @@ else:
     def _place(context, builder, kind, array, index):
         data = cgutils.create_struct_proxy(kind)(context, builder, array).data
         return builder.bitcast(builder.gep(data, [index]), _FOUR.as_pointer())
-
-    @intrinsic
-    def float_bits(typingctx, x):
-        """Return the bits of a float32 as an integer."""
-
-        def codegen(context, builder, signature, arguments):
-            bits = builder.bitcast(arguments[0], ir.IntType(32))
-            return builder.zext(bits, ir.IntType(64))
-
-        return types.int64(types.float32), codegen
 
     @intrinsic
     def load4(typingctx, array, i):
@@ -149,13 +134,6 @@ else:
         return types.void(array, types.int64, x, x, x, x), codegen
 
 
-def pinned(shape, dtype):
-    """Return a zeroed host array in page-locked memory, which the device can copy to directly."""
-    array = np.zeros(shape, dtype) if SIMULATED else cuda.pinned_array(shape, dtype)
-    array[...] = 0
-    return array
-
-
 if not SIMULATED:
     import rainsim.cuda.scalars  # noqa: F401  (numpy's functions of numbers, for CUDA)
 
@@ -168,10 +146,8 @@ __all__ = [
     "cuda_kernel",
     "fast_device",
     "fast_kernel",
-    "float_bits",
     "load4",
     "load_halves",
-    "pinned",
     "store4",
     "tight_kernel",
 ]

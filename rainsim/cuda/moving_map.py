@@ -1,5 +1,7 @@
 """Maps on a device of which the windows are sent that moving things change."""
 
+from rainsim.cuda.driver import send
+
 
 class MovingMap:
     """A map on a device that follows one of the host, over which things move.
@@ -9,12 +11,11 @@ class MovingMap:
         be sent.
     """
 
-    def __init__(self, there, staging, still=None):
-        self._there, self._staging, self._windows = there, staging, []
-        self.still = still
+    def __init__(self, there, still=None):
+        self._there, self._windows, self.still = there, [], still
 
     def send(self, values, windows, still=None):
-        """Queue the sending of what differs from the map that is there.
+        """Send what differs from the map that is there.
 
         still : object. What stands for that map: if it is another one than
             before, all is sent.
@@ -24,7 +25,7 @@ class MovingMap:
             rows, columns = values.shape[:2]
             parts = [(slice(0, rows), slice(0, columns))]
         for part in parts:
-            self._staging.send(self._there, values[part], part)
+            send(self._there, values[part], part)
         self.still, self._windows = still, windows
 
 

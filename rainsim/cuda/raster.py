@@ -12,8 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from rainsim import raster
-from rainsim.cuda.driver import Counted, one_fault, prepare
-from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.driver import one_fault, prepare
 from rainsim.cuda.jit import SIMULATED, cuda
 from rainsim.cuda.lod.room import DeviceRoom
 from rainsim.cuda.splatting import blend, project
@@ -83,8 +82,8 @@ class Rasterizer:
             self.splats = (DeviceSplats if prepared.written is None else DeviceRoom)(prepared)
         self.chosen, self._picked = None, None
         self.plain = plain or SIMULATED
-        self._camera = FrameUniforms({"now": ((project.CAMERA,), np.float32)})
-        self._total, self._count = cuda.device_array(1, np.int32), Counted(1, np.int32)
+        self._now = cuda.device_array(project.CAMERA, np.float32)
+        self._total = cuda.device_array(1, np.int32)
         self.entries, self._room = 0, self.splats.count
         self.workspace = Workspace() if workspace is None else workspace
         self._own, self._layers = Workspace(), {}  # pictures, and their views by size
@@ -92,17 +91,17 @@ class Rasterizer:
     @cached_property
     def size(self):
         """Width and height of the picture [px], device array of shape (2,), float32."""
-        return self._camera["now"][project.NEAR + 1 : project.NEAR + 3]
+        return self._now[project.NEAR + 1 : project.NEAR + 3]
 
     @cached_property
     def lens(self):
         """Focal lengths and principal point (fx, fy, cx, cy) [px], device array, float32."""
-        return self._camera["now"][project.LENS : project.PLANE]
+        return self._now[project.LENS : project.PLANE]
 
     @cached_property
     def _parts(self):
         """Return pose, depths, and plane among the numbers of the camera, device arrays."""
-        now = self._camera["now"]
+        now = self._now
         pose = now[: project.EYE].reshape(3, 4)
         return pose, now[project.NEAR : project.LIMITS], now[project.PLANE : project.NEAR]
 
@@ -169,8 +168,7 @@ class Rasterizer:
         With a `divisor` depths are digits of the splats' numbers, see `project.number_records`.
         """
         s, (width, height) = self.splats, (camera.width, camera.height)
-        self._camera.update(now=self._numbers_of(camera, near, plane, detail))
-        self._camera.send()
+        self._now.copy_to_device(self._numbers_of(camera, near, plane, detail).astype(np.float32))
         flat, bands = bool(camera.orthographic), s.bands if degree is None else degree + 1
         bands, compensate = min(bands, s.bands), bool(compensate or s.compensate)
         ranges = self._list(width, height, flat, compensate, bands, leading)
@@ -182,7 +180,7 @@ class Rasterizer:
             )
         layers, flat_layers = self._pictures(width, height)
         across, down = -(-width // TILE), -(-height // TILE)
-        how, now = (flat, depth == "median", bool(drop_last)), self._camera["now"]
+        how, now = (flat, depth == "median", bool(drop_last)), self._now
         value = self._lists()[1]
         if self.plain:
             blend.blend_pixel_by_pixel[(across, down), (TILE, TILE)](
@@ -206,7 +204,7 @@ class Rasterizer:
 
     def _list(self, width, height, flat, compensate, bands, leading):
         """Queue the sorted entries of a picture; return where each tile's begin and end."""
-        s, now, (record, seen) = self.splats, self._camera["now"], self._records()
+        s, now, (record, seen) = self.splats, self._now, self._records()
         span, rank = self._picked or (s.span, s.rank)
         chunks = int(s.leading if leading else len(span))
         across, levels = -(-width // TILE), _levels(width, height)
@@ -226,7 +224,7 @@ class Rasterizer:
                     s.geometry, s.sh, seen, now, flat, compensate, bands, s.groups, across,
                     levels, record, key, value, self._total,
                 )  # fmt: skip
-            self.entries = int(self._count.read(self._total)[0])
+            self.entries = int(self._total.copy_to_host()[0])
             if self.entries <= len(key):
                 break
             self._room = int(ROOM * self.entries) + THREADS

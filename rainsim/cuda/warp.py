@@ -15,7 +15,6 @@ from rainsim.particles import crown, line_raster
 GROUP = 1 if SIMULATED else 8  # lanes that share a mark, or a cube's drops
 THREADS = 4 if SIMULATED else 128  # of a block
 GROUPS = GROUP, THREADS // GROUP  # shape of a block of groups
-WHOLE = (1, 4) if SIMULATED else (32, 4)  # and of one of warps
 _NOTHING = np.int32(0)
 
 if SIMULATED:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rainsim.lod.levels import coarsest_levels
 from rainsim.scene.formats.streamed import NONE
 from rainsim.scene.pages import ALWAYS, levels_at
 from rainsim.scene.splat_sets import joined
@@ -60,9 +61,7 @@ def _as_fine(scene, wanted, width):
     tree = scene.pages.tree
     side = tree.side * scene.ground_frame.meters_per_unit
     while True:
-        fine = side <= width[:, None]
-        fine[:, 0] = True
-        levels = levels_at(tree, tree.levels - 1 - fine[:, ::-1].argmax(axis=1))
+        levels = coarsest_levels(tree, side <= width[:, None])
         count = tree.count[np.arange(len(levels)), levels][wanted].sum()
         if count <= MOST or (levels[wanted] == tree.levels - 1).all():
             return _of_runs(scene, [(n, levels[n]) for n in np.flatnonzero(wanted)])

@@ -28,18 +28,17 @@ def chosen_levels(tree, camera, near, threshold, most, plane=None):
     size = pixels_per_unit(tree.box, camera, near)
     raised = max(threshold, 0.0)
     while True:
-        levels = levels_of(tree, size, raised)
+        levels = coarsest_levels(tree, tree.side * size[:, None] <= raised)
         count = tree.count[np.arange(len(levels)), levels][seen].sum()
         if count <= most or (levels[seen] == tree.levels - 1).all() or raised > 1e6:
             return np.where(seen, levels, NONE), raised
         raised = max(raised * COARSER, 0.25)
 
 
-def levels_of(tree, size, threshold):
-    """Return the coarsest level of each leaf whose cells take at most `threshold` pixels."""
-    fine_enough = tree.side * size[:, None] <= threshold
-    fine_enough[:, 0] = True
-    return levels_at(tree, tree.levels - 1 - fine_enough[:, ::-1].argmax(axis=1))
+def coarsest_levels(tree, is_fine):
+    """Return the coarsest level of each leaf of those that are fine enough (leaves, levels)."""
+    is_fine[:, 0] = True
+    return levels_at(tree, tree.levels - 1 - is_fine[:, ::-1].argmax(axis=1))
 
 
 def pixels_per_unit(box, camera, near):

@@ -34,20 +34,17 @@ def mean_of_four(cells, j, i, apart, c):
 @cpu_kernel
 def _halve(picture, level, coarse_out):
     """Write one mip level, each cell the mean over four cells of the level before."""
-    height, width, channels = picture.shape
+    height, width, _ = picture.shape
     top, wide = top_of(height, level), width >> level
     before = top_of(height, level - 1) if level > 1 else 0
     for row in prange(height >> level):
-        line = np.empty(2 * wide * channels, np.float32)
+        line = np.empty(6 * wide, np.float32)
         j, out = before + 2 * row, coarse_out[top + row]
         if level == 1:
             _add_rows(picture[j], picture[j + 1], line)
         else:
             _add_rows(coarse_out[j], coarse_out[j + 1], line)
-        if channels == 3:  # with a number known to the compiler the loop is vectorised
-            _add_pairs(line, wide, 3, out)
-        else:
-            _add_pairs(line, wide, channels, out)
+        _add_pairs(line, wide, out)
 
 
 @serial_kernel
@@ -59,27 +56,26 @@ def _add_rows(upper, lower, line_out):
 
 
 @inlined_function
-def _add_pairs(line, wide, channels, row_out):
+def _add_pairs(line, wide, row_out):
     """Write a quarter of the sums of neighbouring cells in `line`, the sum of two rows."""
     out = row_out.reshape(row_out.size)
     for i in range(wide):
-        for c in range(channels):
-            here, next_ = line[2 * channels * i + c], line[2 * channels * i + channels + c]
-            out[channels * i + c] = QUARTER * (here + next_)
+        for c in range(3):
+            out[3 * i + c] = QUARTER * (line[6 * i + c] + line[6 * i + 3 + c])
 
 
-def coarse_shape(height, width, channels=3):
+def coarse_shape(height, width):
     """Return the shape of the array that holds the mip levels 1 and up of a picture."""
-    return height, width >> 1, channels
+    return height, width >> 1, 3
 
 
 def coarsened(picture):
-    """Return the mip levels 1 to COARSEST of a picture in one (height, width // 2, channels).
+    """Return the mip levels 1 to COARSEST of a picture in one (height, width // 2, 3).
 
     Level 1 is in the first height // 2 rows, level 2 below it, and so on; a last row or column
     without a partner is left out. Cells beside the levels are not set.
     """
-    coarse = np.empty(coarse_shape(*picture.shape), np.float32)
+    coarse = np.empty(coarse_shape(*picture.shape[:2]), np.float32)
     for level in range(1, COARSEST + 1):
         _halve(picture, level, coarse)
     return coarse

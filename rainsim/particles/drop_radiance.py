@@ -62,13 +62,6 @@ class Behind(NamedTuple):
     nearness: np.ndarray  # (20, 30) float32 [1/m], mean of one over the depth
 
 
-def coarse_picture(picture, depth):
-    """Return the `Behind` of a picture (height, width, 3) and its depth (height, width) [m]."""
-    behind = Behind(np.empty((*CELLS, 3), np.float32), np.empty(CELLS, np.float32))
-    _coarsen(picture, depth, *behind)
-    return behind
-
-
 def falling_light(environment, everywhere, ground_from_camera, lens, picture, depth):
     """Return the radiance of drops and of the sheets of splashes over a camera's picture.
 
@@ -84,9 +77,15 @@ def falling_light(environment, everywhere, ground_from_camera, lens, picture, de
     depth : float32 array (height, width) [m]
     Returns drops, sheets : float32 array (9, 13, 3)
     """
+    behind = Behind(np.empty((*CELLS, 3), np.float32), np.empty(CELLS, np.float32))
+    _coarsen(picture, depth, *behind)
+    return light_before(behind, environment, everywhere, ground_from_camera, lens, depth.shape)
+
+
+def light_before(behind, environment, everywhere, ground_from_camera, lens, shape):
+    """Return what `falling_light` does before a `Behind` of a picture (height, width)."""
     drops, sheets = np.empty((2, *GRID, 3), np.float32)
-    size = np.array(depth.shape[::-1], np.float32)
-    behind = coarse_picture(picture, depth)
+    size = np.array(shape[::-1], np.float32)
     _fill(environment, behind, everywhere, ground_from_camera, lens, size, drops, sheets)
     return drops, sheets
 
@@ -192,7 +191,7 @@ def refracted(environment, behind, m, lens, size, sight, z, ring, turn):
 
 @cpu_kernel
 def _coarsen(picture, depth, radiance_out, nearness_out):
-    """Write mean radiance and mean nearness [1/m] of each cell, see `coarse_picture`."""
+    """Write mean radiance and mean nearness [1/m] of each cell, see `Behind`."""
     height, width = depth.shape
     rows, columns = CELLS
     for j in prange(rows):

@@ -83,7 +83,6 @@ class WaterTables:
         self.relief, self.top_water = fine_relief(terrain), TopWater(terrain)
         self.mirrors = terrain.mirrors
         self.tops = top_maps(terrain, self.top_water)
-        self._holding, self._held = self.tops, None  # what `tops_with` returned last, and for what
 
     @property
     def place(self):
@@ -93,13 +92,7 @@ class WaterTables:
 
     def tops_with(self, volume, rate):
         """Return the `TopMaps` with a volume (n,) [m3] on each top, in rain of a rate [m/s]."""
-        if not len(self.tops.form):
-            return self.tops
-        held = rate, volume.tolist()
-        if held != self._held:  # of full tops it stays
-            water = top_numbers(self.top_water, volume, sheet_depth(rate))
-            self._holding, self._held = self.tops._replace(water=water), held
-        return self._holding
+        return self.tops._replace(water=top_numbers(self.top_water, volume, sheet_depth(rate)))
 
 
 class DrawnWater(NamedTuple):

@@ -1,7 +1,6 @@
 """The water surface that pictures show: smooth where the solver's is made of wet and dry cells."""
 
 import math
-import weakref
 from typing import NamedTuple
 
 import numpy as np
@@ -65,14 +64,7 @@ def fine_relief(terrain):
         relief *= RELIEF / math.sqrt(len(RELIEF_WIDTHS))
         return {"relief": relief.astype(np.float32)}
 
-    found = _reliefs.get((shape, spacing))
-    if found is None:
-        found = cache.kept_arrays("relief", made, shape, spacing)["relief"]
-        _reliefs[shape, spacing] = found
-    return found
-
-
-_reliefs = weakref.WeakValueDictionary()  # windows of one size share theirs while one holds it
+    return cache.kept_arrays("relief", made, shape, spacing)["relief"]
 
 
 def water_surface(terrain, depth, relief, mirrors):
@@ -116,8 +108,13 @@ def _far_surface(bed, depth, mirrors):
     empty = count == 0
     if empty.all():
         return None
+    return nearest_levels(empty, total / np.maximum(count, 1))
+
+
+def nearest_levels(empty, level):
+    """Return the level of each block that is not `empty`, of the others that of the nearest one."""
     nearest = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
-    return (total / np.maximum(count, 1))[tuple(nearest)]
+    return level[tuple(nearest)]
 
 
 @cpu_kernel

@@ -5,7 +5,6 @@ simulated water, so that they are as exact as those. `rainsim.render.aov` lists 
 AOVs of a frame.
 """
 
-import functools
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,6 @@ from scipy import ndimage
 from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.numerics.blocks import stable_order
 from rainsim.reflection import water_record
-from rainsim.scene.types import Camera
 from rainsim.scene.view import pixel_rays, rays
 from rainsim.shading.surface_point import FLAT
 from rainsim.terrain.table import OBJECT, WATER, class_table
@@ -32,15 +30,7 @@ MOST_ID = 2**16 - 1
 
 def range_of(depth, camera):
     """Return the distance from the camera's centre [m] of a picture's z-depth [m], float32."""
-    lens = camera.fx, camera.fy, camera.cx, camera.cy
-    return (depth * _stretch(camera.width, camera.height, *lens)).astype(np.float32)
-
-
-@functools.lru_cache(4)  # one view after another has the same lens
-def _stretch(width, height, fx, fy, cx, cy):
-    """Return the length of each pixel's ray, (height, width), float64."""
-    camera = Camera(width, height, fx, fy, cx, cy, np.eye(4))
-    return np.linalg.norm(pixel_rays(camera), axis=-1)
+    return (depth * np.linalg.norm(pixel_rays(camera), axis=-1)).astype(np.float32)
 
 
 def flow_of(depth, camera, after, depth_after, number=None, moves=None):

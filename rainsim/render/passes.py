@@ -24,12 +24,12 @@ class Passes:
     def __init__(self):
         self.march = water_pass.March()
         self._mirrors, self._mirrored = {}, None  # by level, window and step; what they show
-        self._blocks, self._laid, self._glare = (None, None), (None, None, None), Glare()
+        self._blocks, self._glare = (None, None), Glare()
         self.work = {
             "splat": _splat, "grade and wet": _grade, "film": _add_film,
             "water surface": _draw_surface, "light of drops": _light_drops,
             "find water": _find_water, "mirror": self.mirror, "reflection": self.reflect,
-            "water": self._lay, "streaks": draw_falling, "splashes": draw_landing,
+            "water": _lay, "streaks": draw_falling, "splashes": draw_landing,
             "light of the rain": _light_rain, "glare": self._add_glare, "compose": _compose,
             **layers.WORK,
         }  # fmt: skip
@@ -74,18 +74,6 @@ class Passes:
             self._blocks = wet.depth, water_pass.depth_blocks(wet)
         return self._blocks[1]
 
-    def _lay(self, seen, picture, below, depth, view, sun, methods):
-        """Return the picture with the water on it; overwritten by the next call."""
-        without, shown, pixel = self._laid
-        if without is picture:  # only the last frame's water is taken away
-            shown.reshape(-1, 3)[pixel] = picture.reshape(-1, 3)[pixel]
-        else:
-            shown = picture.copy()
-        wet = WetPicture(picture, depth, None, view, below)
-        water_pass.lay(seen, methods, wet, sun, shown)
-        self._laid = picture, shown, seen.pixel
-        return shown
-
     def _add_glare(self, shown, ground_camera, brightness, render):
         if render.glare == "off":
             return shown
@@ -121,6 +109,13 @@ def _light_drops(picture, depth, view, scene, everywhere):
 def _find_water(depth, view, surface, tops, scene, methods):
     off_ground = scene.shading.off_ground
     return water_pass.find_water(methods, depth, view, surface, tops, off_ground)
+
+
+def _lay(seen, picture, below, depth, view, sun, methods):
+    """Return the picture with the water on it."""
+    shown = picture.copy()
+    water_pass.lay(seen, methods, WetPicture(picture, depth, None, view, below), sun, shown)
+    return shown
 
 
 def _light_rain(drop_light, air, shown, render):

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from rainsim.scene.types import pose_at
 
 FASTEST = 60.0  # m/s; a camera that moves faster from frame to frame was cut to another place
-TURNS_AT_ONCE = 64  # frames
 FASTEST_TURN = 2 * np.pi  # rad/s; and one that turns faster
 
 
@@ -42,8 +41,6 @@ class PathMotion:
         self._moves, self._turns = motions(cameras)
         each = list(zip(self._moves, self._turns, strict=True))
         self.cuts = [is_too_fast(motion, fps) for motion in each]
-        self._stays = [cut or _is_still(a) for a, cut in zip(each, self.cuts, strict=True)]
-        self._share, self._kept = None, {}
 
     def end(self, index, exposure):
         """Return the camera at the end of a frame's exposure, or None if it is still.
@@ -53,34 +50,17 @@ class PathMotion:
         Returns Camera or None. On the way to the next frame's pose: the position in a straight
             line, the turn about one axis, both even. The last frame goes on as it came. None too
             where the next frame is a cut.
-
-        The turns of many frames are computed at once: one by one they would take 0.1 ms of each.
         """
-        if self._stays[index]:
+        move, turn = self._moves[index], self._turns[index]
+        if self.cuts[index] or not (move.any() or turn.any()):
             return None
         share = exposure * self._fps
-        if share != self._share:
-            self._share, self._kept = share, {}
-        block, place = divmod(index, TURNS_AT_ONCE)
-        if block not in self._kept:
-            turns = self._turns[block * TURNS_AT_ONCE : (block + 1) * TURNS_AT_ONCE]
-            self._kept = {block: Rotation.from_rotvec(share * turns).as_matrix()}
-        return _posed(self._cameras[index], share * self._moves[index], self._kept[block][place])
-
-
-def _is_still(motion):
-    move, turn = motion
-    return not (move.any() or turn.any())
+        return moved(self._cameras[index], share * move, share * turn)
 
 
 def moved(camera, move, turn):
     """Return a camera at another place: its position plus `move`, turned by the vector `turn`."""
-    return _posed(camera, move, Rotation.from_rotvec(turn).as_matrix())
-
-
-def _posed(camera, move, turn):
-    """Return a camera moved by `move` and turned by a matrix (3, 3)."""
-    rotation = turn @ camera.camera_from_world[:3, :3]
+    rotation = Rotation.from_rotvec(turn).as_matrix() @ camera.camera_from_world[:3, :3]
     return camera.posed(pose_at(rotation, camera.position + move))
 
 

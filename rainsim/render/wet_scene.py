@@ -139,22 +139,19 @@ class WetScene:
     # ---- what changes
 
     def set_time(self, now):
-        """Take over the settings of a time; return whether cameras see other pictures by them."""
+        """Take over the settings of a time."""
         if now is self._now:  # as all frames have it without keyframes
-            return False
+            return
         self._now = now
-        look, off_ground = self._look_of(now), wetness.off_ground_wetness(now)
+        facts = self._sky_is_left_out, self._albedo, self._relit
+        look = look_of(now, *facts, len(self.ground.terrain.tops) > 0)
+        off_ground = wetness.off_ground_wetness(now)
         if self.shading and look == self.shading.look and off_ground == self.shading.off_ground:
-            return False
+            return
         self.ground.wet(now)
         self.sky.take_look(look)
         self._shade(look, off_ground, wetness.paving_dampness(now))
         self.capture.take_time(now)
-        return True
-
-    def _look_of(self, now):
-        facts = self._sky_is_left_out, self._albedo, self._relit
-        return look_of(now, *facts, len(self.ground.terrain.tops) > 0)
 
     def _shade(self, look=None, off_ground=None, paving=None):
         """Make `shading` again, with the look there is unless another is given."""
@@ -178,22 +175,18 @@ class WetScene:
             ground.stand(self.capture.actors)
 
     def move_actors(self, time):
-        """Take over where the scene's actors are at a time [s]; return whether they have moved.
+        """Take over where the scene's actors are at a time [s].
 
         Until the first call, and after a time of None, none is there.
         """
-        if not self.capture.move_actors(time):
-            return False
-        self.ground.bodies.move()
-        self._shade()
-        return True
+        if self.capture.move_actors(time):
+            self.ground.bodies.move()
+            self._shade()
 
     def take_tracks(self, tracks):
-        """Take over where tyres have thinned the film; return if that is new, see `WetGround`."""
-        if not self.ground.take_tracks(tracks):
-            return False
-        self._shade()
-        return True
+        """Take over where tyres have thinned the film, see `WetGround`."""
+        if self.ground.take_tracks(tracks):
+            self._shade()
 
     # ---- pictures
 
@@ -276,19 +269,14 @@ class WetScene:
 
         `cover` is the `cover_out` of `grade_and_wet`.
         """
-        shape = layers.alpha.shape
+        now, shape = self.shading, layers.alpha.shape
         picture = np.empty((*shape, 3), np.float32)
         depth, clearance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         grade_and_wet(
-            self.dry(layers, mirrored), view,
-            *self._shading_of(mirrored), picture, depth, clearance, cover,
+            self.dry(layers, mirrored), view, now.ground, now.off_ground,
+            now.mirrored_sky if mirrored else now.sky, now.look, picture, depth, clearance, cover,
         )  # fmt: skip
         return WetPicture(picture, depth, clearance, view, picture)
-
-    def _shading_of(self, mirrored):
-        """Return the arguments of the grading kernels: ground, wetness off it, sky and look."""
-        now = self.shading
-        return now.ground, now.off_ground, now.mirrored_sky if mirrored else now.sky, now.look
 
     def _captured_sky(self, scene, own, position):
         """Return the sky that splats `own` show from `position` [m], completed and graded."""

@@ -24,7 +24,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.numerics.blocks import in_blocks
 from rainsim.splatting.level_kernels import (
     find_cells,
     measure_groups,
@@ -45,7 +44,6 @@ from rainsim.splatting.prepared import (
 SIDES = tuple(0.01 * 2**k for k in range(7))  # m, of the cells of the levels
 GROUP = 8  # chunks whose level is chosen together
 WIDE = 64  # chunks of a group where one level is made: a leaf of a big capture
-COPIED = 128  # chunks that a thread copies at a time
 WORTH = 0.8  # of a group's splats at the level before: with more, a level is left out
 
 
@@ -201,11 +199,7 @@ class Detail:
 def with_room(array, first):
     """Return a copy of an array with so many rows more before the others."""
     whole = np.empty((first + len(array), *array.shape[1:]), array.dtype)
-
-    def work(part):
-        whole[first:][part] = array[part]
-
-    in_blocks(work, len(array), COPIED)
+    whole[first:] = array
     return whole
 
 

@@ -1,11 +1,10 @@
 """Files to take home, from which `rainsim run` draws the same picture, and its command."""
 
-import re
 import shlex
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rainsim.config.preset_writer import preset_text_of
@@ -29,10 +28,11 @@ END_WAIT = 20.0  # s for a run that was interrupted to write its record
 
 @dataclass(frozen=True)
 class Saved:
-    """The folder that was written, and the arguments of `rainsim` that draw from it."""
+    """The folder that was written, the arguments of `rainsim` that draw from it, and how many."""
 
     folder: Path
-    command: list = field(default_factory=list)
+    command: list
+    frames: int = 0
 
     @property
     def line(self):
@@ -71,7 +71,7 @@ class Home:
         poses = [(session.pose_of(view), view.fov)]
         data = camera_path_data(poses, width, height, config.fps)
         frames = ["--frames", str(config.frames), "--frame-range", f"{index}:{index + 1}"]
-        return self._write(session, folder, config, data, frames)
+        return self._write(session, folder, config, data, frames, 1)
 
     def save_path(self, session, keyframes, width, height, video=False):
         """Write keyframes' path and the settings along it; return the folder as `Saved`."""
@@ -85,7 +85,7 @@ class Home:
         data = camera_path_data(poses, width, height, config.fps, marks, config.moments)
         folder = self._new("path")
         frames = ["--frames", str(config.frames), *(["--video"] if video else [])]
-        return self._write(session, folder, config, data, frames)
+        return self._write(session, folder, config, data, frames, config.frames)
 
     def save_ground(self, session):
         """Write ground frame and painted classes, as options take them; return them as `Saved`."""
@@ -105,7 +105,7 @@ class Home:
         write_scene(folder, scene)
         return Saved(folder, ["view", relative(folder), *_water(session, folder)])
 
-    def _write(self, session, folder, config, data, frames):
+    def _write(self, session, folder, config, data, frames, count):
         """Write camera path, preset and command into a folder."""
         write_json(folder / PATH, data)
         _write_text(folder / PRESET, preset_text_of(config, "Saved by rainsim view."))
@@ -116,7 +116,7 @@ class Home:
             "--width", str(config.width), "--height", str(config.height), *frames,
             "--out", relative(folder / DRAWN),
         ]  # fmt: skip
-        saved = Saved(folder, command)
+        saved = Saved(folder, command, count)
         _write_text(folder / COMMAND, saved.line + "\n")
         return saved
 
@@ -157,7 +157,6 @@ class CommandRun:
 
     def __init__(self, saved):
         self.saved, self.last_line = saved, ""
-        self.frames = _frames_of(saved.command)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "rainsim", *saved.command], stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, start_new_session=True,
@@ -186,14 +185,6 @@ class CommandRun:
             self._process.wait(END_WAIT)
         except subprocess.TimeoutExpired:
             self._process.kill()
-
-
-def _frames_of(command):
-    """Return the number of frames that a command draws."""
-    if "--frame-range" in command:
-        first, end = re.split(":", command[command.index("--frame-range") + 1])
-        return int(end) - int(first)
-    return int(command[command.index("--frames") + 1])
 
 
 def _water(session, folder):

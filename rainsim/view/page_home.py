@@ -89,16 +89,16 @@ class HomeTools:
 
         def look():
             while not ended.wait(LOOK_EVERY):
-                self.progress.value = 100.0 * run.drawn / run.frames
+                self.progress.value = 100.0 * run.drawn / run.saved.frames
 
         self.page.begin(look)
-        code = run.follow()
+        code, count = run.follow(), run.saved.frames
         ended.set()
         self._run = None
-        self.stop.disabled, self.progress.value = True, 100.0 * run.drawn / run.frames
+        self.stop.disabled, self.progress.value = True, 100.0 * run.drawn / count
         how = "drawn in" if code == 0 else "ended early"
         self.words.content = (
-            f"{run.drawn} of {run.frames} frames, {how} `{run.saved.folder}`\n\n{run.last_line}"
+            f"{run.drawn} of {count} frames, {how} `{run.saved.folder}`\n\n{run.last_line}"
         )
 
     def cancel(self):

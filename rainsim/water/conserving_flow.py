@@ -184,10 +184,6 @@ class ConservingFlow(StaggeredFlow):
         """Return the tiles to which sources are applied: all, or those where water moves."""
         return self._tiles.all if everywhere else self._tiles.active
 
-    def changed_tiles(self):
-        """Return the numbers of the tiles whose depths may have changed since the last call."""
-        return self._tiles.take_changed()
-
     def note_sources(self, everywhere):
         """Take note that sources have changed depths: all over, or where water moves."""
         if everywhere:

@@ -29,7 +29,7 @@ class Tiles:
         self.all = tiles.reshape(-1, 4)
         count = len(self.all)
         self._speeds, self.still_steps = np.zeros((2, count), dtype), np.zeros(count, np.int64)
-        self._changed, self._moving = np.ones(count, bool), None
+        self._moving = None
         self.wake()
 
     def wake(self, which=slice(None)):
@@ -44,26 +44,16 @@ class Tiles:
             self._active = np.flatnonzero(near)
             self.active = self.all[self._active]
             self.runs = runs_of(self.active, self._active, self._shape[1])
-        self._changed[self._active] = True
 
     def wake_wet(self, wet):
         """Wake the tiles with a cell of which `wet`, ndarray of shape (ny, nx) of bool, is true."""
-        self._changed[:] = True
         rows, columns = np.arange(0, wet.shape[0], ROWS), np.arange(0, wet.shape[1], COLUMNS)
         wet = np.logical_or.reduceat(np.logical_or.reduceat(wet, rows, axis=0), columns, axis=1)
         self.wake(wet.reshape(-1))
 
     def wake_cells(self, rows, columns):
         """Wake the tiles of cells, whose depths have changed."""
-        tiles = rows // ROWS * self._shape[1] + columns // COLUMNS
-        self._changed[tiles] = True
-        self.wake(tiles)
-
-    def take_changed(self):
-        """Return the numbers of the tiles whose depths may have changed since the last call."""
-        which = np.flatnonzero(self._changed)
-        self._changed[:] = False
-        return which
+        self.wake(rows // ROWS * self._shape[1] + columns // COLUMNS)
 
     def speeds(self):
         """Return where kernels write the fastest wave and face [m/s] of each active tile."""
@@ -78,5 +68,4 @@ class Tiles:
     def restore(self, still_steps):
         """Take over how long each tile has been still."""
         self.still_steps[:] = still_steps
-        self._changed[:] = True
         self.wake(slice(0, 0))

@@ -5,7 +5,7 @@ row 0 is south. The step from n to n+1 is
 
     u*      = u at the foot of the back-trace along (u, v) at n             (`flow`)
     h at n+1 = h - dt div(h u), h from the upwind cell, u at n              (`flow`)
-    u at n+1 = u* - dt g grad(bed + h at n+1), then friction                (`accelerate`)
+    u at n+1 = u* - dt g grad(bed + h at n+1), then friction          (`accelerate_rough`)
     dry faces take the mean of their wet neighbours                         (`extrapolate`)
 
 Kernels take arrays of one floating type and scalars of the same type. Their inner loops count from
@@ -173,50 +173,19 @@ def fastest_signal(speed, h_a, h_b, gravity):
 
 
 @cpu_kernel
-def accelerate(h, bed, numbers: StepNumbers, u_out, v_out, signal_out):
-    """Apply pressure to all inner faces.
+def accelerate_rough(
+    h, ground: Ground, u, v, drag, numbers: StepNumbers, u_out, v_out, signal_out
+):  # fmt: skip
+    """Apply pressure and Manning friction to all inner faces.
 
+    u, v : array (ny, nx + 1) and (ny + 1, nx) [m/s]. Velocity at n, from which
+        the flow along a face is taken.
     numbers : StepNumbers. `cap` is the speed that no face may exceed, as in
         Chentanez and Mueller 2010; `dry` is also the least depth that friction
         sees.
     signal_out : array (blocks, nx) [m/s]. Largest `fastest_signal` in each column
         of each block of BLOCK rows. A maximum over a row would keep the compiler
         from taking many faces at once.
-    """
-    gravity = numbers.gravity
-    ny, nx = h.shape
-    for block in prange(signal_out.shape[0]):
-        signal_out[block] = ZERO
-        for j in range(block * BLOCK, min((block + 1) * BLOCK, ny)):
-            for left in range(nx - 1):
-                i = left + 1
-                h_a, h_b, bed_a, bed_b = h[j, left], h[j, i], bed[j, left], bed[j, i]
-                w = accelerated(u_out[j, i], h_a, h_b, bed_a, bed_b, numbers)
-                u_out[j, i] = w
-                signal_out[block, i] = max(
-                    signal_out[block, i], fastest_signal(w, h_a, h_b, gravity)
-                )
-            if j == 0:
-                continue
-            for i in range(nx):
-                h_a, h_b, bed_a, bed_b = h[j - 1, i], h[j, i], bed[j - 1, i], bed[j, i]
-                w = accelerated(v_out[j, i], h_a, h_b, bed_a, bed_b, numbers)
-                v_out[j, i] = w
-                signal_out[block, i] = max(
-                    signal_out[block, i], fastest_signal(w, h_a, h_b, gravity)
-                )
-
-
-@cpu_kernel
-def accelerate_rough(
-    h, ground: Ground, u, v, drag, numbers: StepNumbers, u_out, v_out, signal_out
-):  # fmt: skip
-    """Apply pressure and Manning friction to all inner faces.
-
-    As `accelerate`, and:
-
-    u, v : array (ny, nx + 1) and (ny + 1, nx) [m/s]. Velocity at n, from which
-        the flow along a face is taken.
     """
     (bed, roughness), gravity, dry = ground, numbers.gravity, numbers.dry
     ny, nx = h.shape

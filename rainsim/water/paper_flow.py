@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from rainsim.water.bundles import Ground
-from rainsim.water.paper import BLOCK, accelerate, accelerate_rough, extrapolate, flow
+from rainsim.water.paper import BLOCK, accelerate_rough, extrapolate, flow
 from rainsim.water.paper_sills import find_sills
 from rainsim.water.staggered import StaggeredFlow
 
@@ -18,6 +18,7 @@ class PaperFlow(StaggeredFlow):
 
     def __init__(self, bed, spacing, gravity, is_open, roughness, dry):
         super().__init__(bed, spacing, gravity, is_open, roughness, dry, roundings=2)
+        self._ground = Ground(bed, np.zeros_like(bed) if roughness is None else roughness)
         ny, nx = bed.shape
         self._signals = np.zeros((-(-ny // BLOCK), nx), bed.dtype)
         south = np.arange(0, ny, BLOCK)
@@ -71,11 +72,8 @@ class PaperFlow(StaggeredFlow):
         """Advance the face velocities from step n to n+1 by `dt` [s]."""
         numbers = self.numbers(dt, dt, CAP * self._spacing / dt)
         (h, _, u, v), before = self.water, self._spare
-        if self.roughness is None:
-            accelerate(h, self.bed, numbers, u, v, self._signals)
-        else:
-            ground, drag = Ground(self.bed, self.roughness), u.dtype.type(self._gravity * dt)
-            accelerate_rough(h, ground, before.u, before.v, drag, numbers, u, v, self._signals)
+        drag = u.dtype.type(self._gravity * dt)
+        accelerate_rough(h, self._ground, before.u, before.v, drag, numbers, u, v, self._signals)
         self.wave_speed = float(self._signals.max())
         self.moves = bool(u.any() or v.any())
         if self.moves:
@@ -87,10 +85,6 @@ class PaperFlow(StaggeredFlow):
     def tiles(self, everywhere):
         """Return the tiles to which sources are applied: all of them."""
         return self._tiles
-
-    def changed_tiles(self):
-        """Return the numbers of the tiles whose depths may have changed since the last call."""
-        return np.arange(len(self._tiles))
 
     def note_sources(self, everywhere):
         """Take note that sources have changed depths: nothing to do here."""

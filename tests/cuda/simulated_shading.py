@@ -305,13 +305,8 @@ def test_light_of_drops_is_the_cpus(monkeypatch):
     depth[:10] = np.inf
     wanted = np.stack(drop_radiance.falling_light(around, mean, turn, lens, picture, depth))
     assert wanted.std() > 0.01 and np.abs(wanted[0] - wanted[1]).max() > 0.01
-    tables = type("Tables", (dict,), {})(gloss=cuda.to_device(around), around=cuda.to_device(mean))
-    tables.camera = shading.DeviceView()
-    tables.camera.take(View(turn, np.zeros(3, F4), *lens), picture.shape[:2])
-    tables.view = tables.camera.view
-    drops = cuda_drops.DropLight()
-    for field in (drops.drops, drops.sheets):
-        field.copy_to_device(np.full(wanted[0].shape, np.nan, np.float32))
-    found = drops.find(cuda.to_device(picture), cuda.to_device(depth), tables)
+    seen = cuda.to_device(picture), cuda.to_device(depth)
+    view = View(turn, np.zeros(3, F4), *lens)
+    found = cuda_drops.DropLight().find(*seen, around, mean, view)
     found = tuple(field.copy_to_host() for field in found)
     np.testing.assert_allclose(found, wanted, rtol=1e-5)

@@ -17,6 +17,7 @@ from rainsim.reflection import wet_tops
 from rainsim.reflection.water_pass import WaterTables, choice_of
 from rainsim.reflection.wet_tops import DRY_TOPS, TopMaps
 from rainsim.render import aov
+from rainsim.render.frame import is_same
 from rainsim.render.renderer import Renderer
 from rainsim.scene.view import View, pixel_ray
 from rainsim.simulation import simulate, surfaces_of, tops_drawn, tops_of
@@ -171,15 +172,16 @@ def test_full_tops_take_no_more_rain():
     assert found[2] == pytest.approx(TopWater(made).capacity[0], rel=1e-6)
 
 
-def test_what_stands_on_tops_is_found_again_only_when_it_changes():
+def test_what_stands_on_tops_is_new_to_a_frame_only_when_it_changes():
     tables = WaterTables(with_table(hollow=5e-3), ring_reach(5e-3, 0.0, 5.0))
     half, full = (tables.top_water.volumes[n] for n in (3, -1))
     first = tables.tops_with(half, 0.0)
     assert first.water[0, 0] == pytest.approx(3, abs=1e-5) and first.water[0, 1] == 0
-    assert tables.tops_with(half.copy(), 0.0) is first
+    assert is_same(tables.tops_with(half.copy(), 0.0), first)
     rainy, fuller = tables.tops_with(half, mm_per_hour(5.0)), tables.tops_with(full, 0.0)
     assert rainy.water[0, 1] == pytest.approx(sheet_depth(mm_per_hour(5.0)))
     assert fuller.water[0, 0] == len(RAINS) - 1 and fuller.water[0, 1] == 0
+    assert not is_same(fuller, first)
     assert first.water[0, 0] == pytest.approx(3, abs=1e-5)
 
 

@@ -9,7 +9,7 @@ from rainsim.errors import DivergedError, ParameterError
 from rainsim.grid import WaterSolver
 from rainsim.numerics.approximations import cube_root
 from rainsim.water.bundles import Ground, StepNumbers
-from rainsim.water.paper import BLOCK, accelerate, accelerate_rough, extrapolate, flow, slowed
+from rainsim.water.paper import BLOCK, accelerate_rough, extrapolate, flow, slowed
 from rainsim.water.sources import apply_sources
 
 G = 9.81
@@ -287,13 +287,10 @@ def test_kernels_write_every_inner_value(poisoned):
     assert np.abs(h_out - h).max() > 0.01
 
     numbers = StepNumbers(*(dtype(a) for a in (0.2, 0.1, 0.0, G, 3.0, 1e-7, 1e-6)))
-    for rough in (False, True):
+    for drag in (dtype(0), dtype(0.01)):
         signals = poisoned((2, nx))
         a, b = u.copy(), v.copy()
-        if rough:
-            accelerate_rough(h, Ground(bed, bed), u, v, dtype(0.01), numbers, a, b, signals)
-        else:
-            accelerate(h, bed, numbers, a, b, signals)
+        accelerate_rough(h, Ground(bed, bed), u, v, drag, numbers, a, b, signals)
         assert signals.max() == pytest.approx(_fastest_signal(h, a, b), rel=1e-6)
         assert np.abs(a - u)[:, 1:-1].max() > 0.01
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from rainsim.constants import ZERO
 from rainsim.cuda import drops
-from rainsim.cuda.driver import Counted
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.particles.streaks import view_of
@@ -112,7 +111,6 @@ class Splashes:
         self._streaks, self.impacts = streaks, drops.Impacts()
         self._now = FrameUniforms({"film": ((1,), np.float64), "count": ((1,), np.int32)})
         self.lines = cuda.device_array((ROOM, 7), np.float64)
-        self._count = Counted(1, np.int32)
         self.alpha = cuda.device_array(streaks.alpha.shape, np.float32)
 
     def draw(self, field, surfaces, camera, time, exposure, water, film):
@@ -141,4 +139,4 @@ class Splashes:
         list_splashes[drops.BLOCKS, GROUPS](listed, seen.field.velocity, *shown, *there)
         if seen.drips is not None:
             seen.drips.gather(seen.surfaces, *shown, *there)
-        return int(self._count.read(count)[0])
+        return int(count.copy_to_host()[0])

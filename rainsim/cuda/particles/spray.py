@@ -7,20 +7,18 @@ streaks of the rain; of the clouds a thread takes a pixel through all.
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.cuda.driver import Staging
 from rainsim.cuda.drops import BLOCKS
-from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.splash_pass import draw_list
 from rainsim.cuda.warp import GROUPS
 from rainsim.numerics.approximations import exp_minus
-from rainsim.particles.spray import MOST_CLOUDS, MOST_DRAWN, cloud_table, cloud_thickness
+from rainsim.particles.spray import cloud_table, cloud_thickness
 
 BLOCK = (8, 4) if SIMULATED else (32, 8)  # threads, one a pixel
 
 
 @cuda_kernel
-def lay_clouds(many, clouds, boxes, lens, depth, alpha_out):
+def lay_clouds(clouds, boxes, lens, depth, alpha_out):
     """Put listed clouds before a picture; arrays are those of `particles.spray.cloud_table`."""
     column, row = cuda.grid(2)
     height, width = alpha_out.shape
@@ -29,7 +27,7 @@ def lay_clouds(many, clouds, boxes, lens, depth, alpha_out):
     a = (np.float32(column) + HALF - lens[2]) / lens[0]
     b = (np.float32(row) + HALF - lens[3]) / lens[1]
     deep, optical = depth[row, column], ZERO
-    for n in range(many[0]):
+    for n in range(len(clouds)):
         if boxes[n, 0] <= column < boxes[n, 1] and boxes[n, 2] <= row < boxes[n, 3]:
             optical += cloud_thickness(
                 a, b, deep, clouds[n, 0], clouds[n, 1], clouds[n, 2], clouds[n, 3], clouds[n, 4]
@@ -41,31 +39,19 @@ def lay_clouds(many, clouds, boxes, lens, depth, alpha_out):
 class Spray:
     """The spray of one frame after another."""
 
-    def __init__(self):
-        self._staging = Staging()
-        self._count = FrameUniforms({"drops": ((1,), np.int32), "clouds": ((1,), np.int32)})
-        self._drops = cuda.device_array((MOST_DRAWN, 7), np.float64)
-        self._clouds = cuda.device_array((MOST_CLOUDS, 5), np.float32)
-        self._boxes = cuda.device_array((MOST_CLOUDS, 4), np.int32)
-
     def send(self, drops, puffs, camera):
         """Send what `spray_seen` returns."""
-        clouds, boxes = cloud_table(puffs, camera)
-        for there, values in (
-            (self._drops, drops), (self._clouds, clouds), (self._boxes, boxes),
-        ):  # fmt: skip
-            if len(values):
-                self._staging.send(there, values)
-        self._count.update(drops=len(drops), clouds=len(clouds))
-        self._count.send()
+        self._count = cuda.to_device(np.array([len(drops)], np.int32))
+        self._drops = cuda.to_device(drops)
+        clouds = map(np.ascontiguousarray, cloud_table(puffs, camera))
+        self._clouds = tuple(map(cuda.to_device, clouds))
 
     def draw(self, view, scene, picture):
         """Queue the drawing of drops into the streaks' picture."""
-        draw_list[BLOCKS, GROUPS](self._count["drops"], self._drops, view, scene, picture)
+        draw_list[BLOCKS, GROUPS](self._count, self._drops, view, scene, picture)
 
     def lay(self, lens, depth, alpha_out):
         """Queue the clouds before the streaks' picture."""
         height, width = alpha_out.shape
         blocks = -(-width // BLOCK[0]), -(-height // BLOCK[1])
-        many = self._count["clouds"]
-        lay_clouds[blocks, BLOCK](many, self._clouds, self._boxes, lens, depth, alpha_out)
+        lay_clouds[blocks, BLOCK](*self._clouds, lens, depth, alpha_out)

@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 
-from rainsim.constants import ONE, TWO, ZERO
+from rainsim.constants import ONE, ZERO
 from rainsim.cuda.drops import BLOCKS, arrays_of, box_of, sent_surfaces
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.particles.line_raster import TILE, read_depth, resolve
-from rainsim.cuda.warp import GROUP, GROUPS, THREADS, WHOLE, ballot, claim_row
+from rainsim.cuda.warp import GROUP, GROUPS, THREADS, ballot, claim_row
 from rainsim.errors import ParameterError
 from rainsim.numerics.random import uniform
 from rainsim.particles import line_raster
@@ -35,12 +35,10 @@ from rainsim.rain import poisson_cells
 from rainsim.rain.heightfield import HeightFields, first_hit
 from rainsim.rain.size_distribution import CLASSES
 
-LARGE = np.float32(400)  # px that a path touches, from which on a whole warp draws it
-MANY = 2**14  # such paths that there is room for; more are drawn as the small ones are
 ROOM = 2**15 if SIMULATED else 2**20  # drops that there is room for at first
 MOST_ROOM = 8 * ROOM  # drops that may be in view: 60 bytes each
 # Places in a row of `paths`: the path in the camera frame [m], whether nothing stands before it,
-# the share of it that the drop goes (less than 0 for large drops), and the diameter [m].
+# the share of it that the drop goes, and the diameter [m].
 PATH = 9
 X, Y, Z, X_END, Y_END, Z_END, IS_CLEAR, SHARE, DIAMETER = range(PATH)
 _NEAR = np.float32(line_raster.NEAR)
@@ -152,13 +150,12 @@ def _path_of(word, cube, corners, air, field, view, scene):
 
 
 @cuda_kernel
-def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, large_out):
+def follow(sought, places, words, sent, field, surfaces, paths_out):
     """Find how much of their path the drops in view go before they meet something.
 
     surfaces : HeightFields. Both of device arrays.
     paths_out : float32 device array (room, PATH). SHARE, 0 for drops that have
-        ended and less for large ones, and DIAMETER.
-    many_out : int32 device array (1,). Raised by the number of large ones.
+        ended, and DIAMETER.
     """
     time, exposure = sent.time[0], sent.exposure[0]
     for n in range(cuda.grid(1), min(sought[0], words.shape[0]), cuda.gridsize(1)):
@@ -170,54 +167,21 @@ def follow(sought, places, words, sent, field, surfaces, paths_out, many_out, la
             x, y, z, field.velocity[b, 0], field.velocity[b, 1], field.velocity[b, 2], -np.inf,
             time + exposure, surfaces,
         )  # fmt: skip
-        share = max(np.float32(min((stop - time) / exposure, 1.0)), ZERO)
-        paths_out[n, DIAMETER] = diameter = np.float32(poisson_cells.drop_diameter(word, b, field))
-        if share > ZERO and _pixels(paths_out[n], diameter, sent.lens) > LARGE:
-            at = cuda.atomic.add(many_out, 0, 1)
-            if at < large_out.shape[0]:
-                large_out[at] = n
-                share = -share
-        paths_out[n, SHARE] = share
-
-
-@cuda.jit(device=True)
-def _pixels(path, diameter, lens):
-    """Return about how many pixels a row of `paths` touches."""
-    nearest = min(path[Z], path[Z_END])
-    u = lens[line_raster.FX] * abs(path[X_END] / path[Z_END] - path[X] / path[Z])
-    v = lens[line_raster.FY] * abs(path[Y_END] / path[Z_END] - path[Y] / path[Z])
-    wide = lens[line_raster.FX] * diameter / nearest
-    wide += lens[line_raster.APERTURE] * max(
-        abs(ONE / path[Z] - lens[line_raster.PER_FOCUS]),
-        abs(ONE / path[Z_END] - lens[line_raster.PER_FOCUS]),
-    )
-    return (wide + TWO) * (u + v + wide + TWO)
+        paths_out[n, SHARE] = max(np.float32(min((stop - time) / exposure, 1.0)), ZERO)
+        paths_out[n, DIAMETER] = np.float32(poisson_cells.drop_diameter(word, b, field))
 
 
 @cuda_kernel
 def draw_field(sought, paths, lens, scene, picture):
-    """Draw the drops in view except the large ones, a group of lanes for each."""
+    """Draw the drops in view, a group of lanes for each."""
     listed = min(sought[0], paths.shape[0])
     first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
     for n in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
-        if paths[n, SHARE] > ZERO:
-            _draw(paths[n], paths[n, SHARE], lens, scene, picture)
-
-
-@cuda_kernel
-def draw_large(many, large, paths, lens, scene, picture):
-    """Draw the large drops in view, a warp for each; see `draw_field`."""
-    listed = min(many[0], large.shape[0])
-    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
-    for at in range(first, listed, cuda.gridDim.x * cuda.blockDim.y):
-        n = large[at]
-        _draw(paths[n], -paths[n, SHARE], lens, scene, picture)
-
-
-@cuda.jit(device=True)
-def _draw(row, share, lens, scene, picture):
-    path = line_raster.Path(row[X], row[Y], row[Z], row[X_END], row[Y_END], row[Z_END])
-    line_raster.draw_path(path, share, row[DIAMETER], lens, scene, row[IS_CLEAR] > ZERO, picture)
+        row, share = paths[n], paths[n, SHARE]
+        if share > ZERO:
+            path = line_raster.Path(row[X], row[Y], row[Z], row[X_END], row[Y_END], row[Z_END])
+            clear = row[IS_CLEAR] > ZERO
+            line_raster.draw_path(path, share, row[DIAMETER], lens, scene, clear, picture)
 
 
 class Streaks:
@@ -241,13 +205,12 @@ class Streaks:
             "rotation_end": ((3, 3), f8), "eye_end": ((3,), f8), "axes": ((3, 3), f4),
             "axes_end": ((3, 3), f4), "lens": ((8,), f4),
             "planes": ((4, 3), f4), "far": ((CLASSES,), f4), "slack": ((CLASSES,), f8),
-            "sought": ((1,), np.int32), "many": ((1,), np.int32),
+            "sought": ((1,), np.int32),
         }  # fmt: skip
         self.now = FrameUniforms(names | arrays_of(field))
         tiles = 2, -(-height // line_raster.DEPTH_TILE), -(-width // line_raster.DEPTH_TILE)
         self.alpha = cuda.device_array((height, width), np.float32)
         self._make_room(ROOM)
-        self._large = cuda.device_array(MANY, np.int32)
         self.picture = cuda.to_device(np.zeros(width * height, np.int64))
         self.view, self._air, self.field = (
             kind(*(self.now[name] for name in kind._fields))
@@ -288,7 +251,7 @@ class Streaks:
         """Allocate the lists of drops in view."""
         self.room = drops
         self._sought = (
-            self.now["sought"],  # blanked by each `send`, as "many" is
+            self.now["sought"],  # blanked by each `send`
             cuda.device_array((drops, 4), np.int32), cuda.device_array(drops, np.uint64),
         )  # fmt: skip
         self._paths = cuda.device_array((drops, PATH), np.float32)
@@ -303,11 +266,7 @@ class Streaks:
         list_drops[BLOCKS, THREADS](
             now["counts"], self._air, self.view, self.field, scene, *self._sought, self._paths
         )
-        follow[BLOCKS, THREADS](
-            *self._sought, self.view, self.field, self.surfaces, self._paths, now["many"],
-            self._large,
-        )  # fmt: skip
-        draw_large[BLOCKS, WHOLE](now["many"], self._large, self._paths, lens, scene, self.picture)
+        follow[BLOCKS, THREADS](*self._sought, self.view, self.field, self.surfaces, self._paths)
         draw_field[BLOCKS, GROUPS](now["sought"], self._paths, lens, scene, self.picture)
         if self.drips is not None:
             self.drips.draw(self.view, scene, self.picture)

@@ -5,7 +5,7 @@ The host puts the actors onto its map; the windows that they cover, and have cov
 
 import numpy as np
 
-from rainsim.cuda.driver import Staging
+from rainsim.cuda.driver import send
 from rainsim.cuda.drops import sent_surfaces
 from rainsim.cuda.moving_map import MovingMap
 from rainsim.jit import may_run_beside
@@ -23,8 +23,7 @@ class MovingHeights:
         fields = sent_surfaces(still)
         highest = max((footprint.highest for footprint in footprints), default=-np.inf)
         self.fields = fields._replace(sky=max(fields.sky, highest + ABOVE))
-        self._staging = Staging()
-        self._maps = {name: MovingMap(getattr(self.fields, name), self._staging) for name in FIELDS}
+        self._maps = {name: MovingMap(getattr(self.fields, name)) for name in FIELDS}
         self._there = still
 
     def send(self, surfaces):
@@ -36,7 +35,7 @@ class MovingHeights:
             there.send(getattr(found, name), surfaces.changes)
         if surfaces.changes or self._there.changes:
             for name in BLOCKS:
-                self._staging.send(getattr(self.fields, name), getattr(found, name))
+                send(getattr(self.fields, name), getattr(found, name))
         self._there = surfaces
 
 

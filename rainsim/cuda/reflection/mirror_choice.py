@@ -8,7 +8,6 @@ import math
 import numpy as np
 
 from rainsim.constants import ZERO
-from rainsim.cuda.driver import Counted
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.reflection.mirror_choice import LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS, mirror_levels
 from rainsim.scene.view import pixel_ray
@@ -17,19 +16,8 @@ BINS = 4096  # of LEVEL_STEP: 8 m of water heights
 THREADS = 256
 COUNT_ROWS = 8  # that a block of threads counts
 NONE = 1 << 30  # first column of water where there is none
+NO_COUNTS = np.array([0] * BINS + [NONE, NONE, -1, -1], np.int32)
 EVERYWHERE = 1e30  # m; the one mirror of "mirror" serves water up to there
-
-
-@cuda_kernel
-def clear_counts(count_out):
-    """Set all counts to zero and the water's extent, behind them, to none."""
-    i = cuda.grid(1)
-    if i < BINS:
-        count_out[i] = 0
-    if i < 2:
-        count_out[BINS + i] = NONE
-    elif i < 4:
-        count_out[BINS + i] = -1
 
 
 @cuda_kernel
@@ -84,8 +72,6 @@ class LevelChoice:
 
     def __init__(self, lowest):
         self._first_bin = math.floor(lowest / LEVEL_STEP) - 8
-        self._count = cuda.device_array(BINS + 4, np.int32)
-        self._seen = Counted(BINS + 4, np.int32)
 
     def choose(self, hit, coverage, view, name):
         """Return the levels, and where water is seen; `group_levels` shares out likewise; waits.
@@ -98,11 +84,11 @@ class LevelChoice:
             extent : tuple of int [px]. First column and row, last column and row.
         """
         height, width = coverage.shape
-        clear_counts[-(-(BINS + 4) // THREADS), THREADS](self._count)
+        counts = cuda.to_device(NO_COUNTS)
         count_heights[(-(-width // THREADS), -(-height // COUNT_ROWS)), THREADS](
-            hit, coverage, view, self._first_bin, self._count
+            hit, coverage, view, self._first_bin, counts
         )
-        seen = self._seen.read(self._count)
+        seen = counts.copy_to_host()
         count, extent, levels = seen[:BINS], tuple(seen[BINS:].tolist()), []
         if not count.any():
             return levels, extent

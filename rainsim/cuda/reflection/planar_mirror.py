@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.reflection.mirror_choice import EVERYWHERE, THREADS, LevelChoice
 from rainsim.cuda.shading.wet_pass import DeviceView
@@ -79,13 +78,9 @@ class Mirrors:
     def __init__(self, tables):
         self._tables = tables
         self._levels = LevelChoice(float(tables.conductor.ground.terrain.bed.min()))
-        self._now = FrameUniforms({
-            "range": ((MOST_MIRRORS, 3), np.float32), "window": ((6,), np.float32),
-            "turn": ((3, 3), np.float32),
-        })  # fmt: skip
         self._views = [DeviceView() for _ in range(MOST_MIRRORS)]
-        now = self._now
-        self.arrays = MirrorArrays(now["range"], now["window"], now["turn"], None, None, None)
+        numbers = (cuda.device_array(shape, np.float32) for shape in ((MOST_MIRRORS, 3), 6, (3, 3)))
+        self.arrays = MirrorArrays(*numbers, None, None, None)
         self._shape = None
         self._allocate(1, 1)
 
@@ -124,7 +119,7 @@ class Mirrors:
         served = np.tile(np.float32([0, EVERYWHERE, -EVERYWHERE]), (MOST_MIRRORS, 1))
         for k, level in enumerate(levels):
             served[k] = level
-        self._now.update(range=served)
+        self.arrays.range.copy_to_device(served)
         if levels:
             left, top, right, bottom = extent
             shape, lens = (camera.height, camera.width), (camera.fx, camera.fy)
@@ -136,16 +131,14 @@ class Mirrors:
             self._draw(k, scene, *scene.capture.mirrored_layers(
                 camera, level, window, step, on_device=True
             ))  # fmt: skip
-        self._now.send()
         return self.arrays
 
     def _draw(self, k, scene, camera, layers):
         """Queue the grading of a mirrored picture, whose splats are drawn, and its mip levels."""
         view, (picture, depth, coarse) = scene.view_of(camera), self._each[k]
         rows, columns = layers.alpha.shape
-        self._now.update(
-            window=(*view.lens, columns, rows), turn=view.ground_from_camera,
-        )  # fmt: skip
+        self.arrays.window.copy_to_device(np.array([*view.lens, columns, rows], np.float32))
+        self.arrays.ground_from_camera.copy_to_device(view.ground_from_camera)
         self._views[k].take(view, (rows, columns))
         self._tables.grade(layers, self._views[k], picture, depth, self._clearance, mirrored=True)
         blocks = -(-columns // (2 * SQUARE_CELLS)), -(-rows // (2 * SQUARE_CELLS))

@@ -48,7 +48,7 @@ def keep_tall(depth, clearance, tall_out, bounds_out):
 
 @cuda_kernel
 def join_bounds(height, width, bounds_out):
-    """Write the bounds of blocks with their neighbours and of wide ones: see `block_bounds`."""
+    """Write the bounds of blocks with their neighbours: see `block_bounds`."""
     rows, columns = (height + BLOCK - 1) // BLOCK, (width + BLOCK - 1) // BLOCK
     at = rows * columns + cuda.grid(1)
     if at < bounds_out.shape[0]:

@@ -18,26 +18,20 @@ FETCHED = (
 )  # fmt: skip
 
 
-class AovReader:
-    """Computes the AOVs of the frames that a device has finished."""
-
-    def __init__(self):
-        self._passes = Passes()
-
-    def made(self, names, state, drawn):
-        """Return a `Frame` of the host with the named AOVs, and the light that recomposes it."""
-        frame = Frame((*PASSES, *LAYER_PASSES))
-        for name in INPUTS:
-            if name not in FETCHED:
-                frame.put(name, drawn[name])
-        for name in FETCHED:
-            frame.put(name, drawn[name].copy_to_host())
-        light = drawn["rain_light"]
-        fields = light.drops.copy_to_host(), light.around.copy_to_host()
-        frame.put("rain_light", RainLight(*fields, drawn["air"]))
-        moments, size = drawn["ripples"]
-        moments = moments.copy_to_host()  # first columns: the slopes themselves
-        frame.put("ripples", (np.moveaxis(moments[:, : len(moments), :2], -1, 0), size))
-        frame.put("drips", (state.drips, state.drip_id))
-        frame.make(buffers_of(names), self._passes.work)
-        return frame
+def read_aovs(names, state, drawn):
+    """Return a `Frame` of the host with the AOVs of a finished one, and what recomposes it."""
+    frame = Frame((*PASSES, *LAYER_PASSES))
+    for name in INPUTS:
+        if name not in FETCHED:
+            frame.put(name, drawn[name])
+    for name in FETCHED:
+        frame.put(name, drawn[name].copy_to_host())
+    light = drawn["rain_light"]
+    fields = light.drops.copy_to_host(), light.around.copy_to_host()
+    frame.put("rain_light", RainLight(*fields, drawn["air"]))
+    moments, size = drawn["ripples"]
+    moments = moments.copy_to_host()  # first columns: the slopes themselves
+    frame.put("ripples", (np.moveaxis(moments[:, : len(moments), :2], -1, 0), size))
+    frame.put("drips", (state.drips, state.drip_id))
+    frame.make(buffers_of(names), Passes().work)
+    return frame

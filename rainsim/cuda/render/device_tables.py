@@ -4,8 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from rainsim.cuda.driver import Staging
-from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.driver import send
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.moving_map import MovingMap
 from rainsim.cuda.shading.wet_pass import DeviceView, grade_and_wet, pixel_grid
@@ -37,21 +36,14 @@ class DeviceTables:
             "behind_mirrored": to_device(scene.sky.behind_mirrored),
             "cover": to_device(COVERING_DEPTHS),
         }  # fmt: skip
-        tops, f4 = ground.water.tops, np.float32
+        tops = ground.water.tops
         self._tops = tops._replace(
             number=cuda.to_device(tops.number), form=to_device(tops.form),
             depths=to_device(tops.depths), holds=to_device(tops.holds),
             origin=to_device(tops.origin),
         )  # fmt: skip
-        self._now = FrameUniforms({
-            "sun": ((6,), f4), "air": ((3,), f4), "around": ((3,), f4),
-            "tops": ((max(len(tops.form), 1), 2), f4),
-        })  # fmt: skip
-        self._arrays.update(self._now.device)
-        self.tops = self._tops._replace(water=self._now["tops"])
-        self._staging = Staging()
         self._maps = {
-            name: MovingMap(self._arrays[name], self._staging, still)
+            name: MovingMap(self._arrays[name], still)
             for name, still in (
                 ("rings", ground.rings), ("ground_map", scene.ground.tracked.untouched),
                 ("bodies", None),
@@ -75,16 +67,15 @@ class DeviceTables:
         """Send what the conductor has taken over for the next frame."""
         conductor, inputs = self.conductor, self.conductor.frame
         camera = conductor.camera
-        for name, value, send in self._kept():
+        for name, value, give in self._kept():
             if value is not self._sent.get(name):
-                send(value)
+                give(value)
                 self._sent[name] = value
         self.camera.take(conductor.view, (camera.height, camera.width))
-        if len(self._tops.form):
-            self._now.update(tops=inputs["tops"].water)
+        self.tops = self._tops._replace(water=to_device(inputs["tops"].water))
         self.march = March().settings(camera.width)
-        self._now.update(sun=inputs["sun"], air=inputs["air"], around=inputs["everywhere"])
-        self._now.send()
+        for name in ("sun", "air"):
+            self._arrays[name] = to_device(inputs[name])
 
     def _kept(self):
         """Return what is sent again when another stands in its place: name, value, how."""
@@ -93,15 +84,14 @@ class DeviceTables:
         rings = inputs["rings"] if "rings" in inputs else still
         bodies, tracked = scene.ground.bodies, scene.ground.tracked
         return [
-            ("behind", scene.sky.behind, partial(self._copy, "behind")),
-            ("behind_mirrored", scene.sky.behind_mirrored, partial(self._copy, "behind_mirrored")),
+            *(
+                (name, getattr(scene.sky, name), partial(send, self._arrays[name]))
+                for name in ("behind", "behind_mirrored")
+            ),
             ("rings", rings, partial(self._send, "rings", conductor.sheltered, still)),
             ("ground_map", tracked, self._send_ground),
             ("bodies", bodies.now, partial(self._send, "bodies", bodies.moved, bodies.still)),
         ]
-
-    def _copy(self, name, array):
-        self._staging.send(self._arrays[name], np.ascontiguousarray(array, np.float32))
 
     def _send(self, name, windows, still, values):
         values = values if values.size else np.zeros(self._arrays[name].shape, np.uint8)
@@ -124,8 +114,8 @@ class DeviceTables:
         if self._water is None:
             self._water = cuda.device_array(state.depth.shape, np.float32)
             self._moments = cuda.device_array(moments.shape, np.float32)
-        self._staging.send(self._water, np.ascontiguousarray(state.depth, np.float32))
-        self._staging.send(self._moments, np.ascontiguousarray(moments))
+        send(self._water, state.depth)
+        send(self._moments, moments)
         return self._water, self._moments
 
     # ---- what several passes do

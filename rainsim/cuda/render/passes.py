@@ -87,8 +87,8 @@ class Passes:
         screen_space.join_bounds[-(-len(bounds) // joiners), joiners](*size, bounds)
         return tall, bounds
 
-    def _light_drops(self, picture, depth):
-        return self._drop_light.find(picture, depth, self.tables)
+    def _light_drops(self, picture, depth, view, scene, everywhere):
+        return self._drop_light.find(picture, depth, scene.sky.gloss, everywhere, view)
 
     def _find_water(self, depth, surface, scene):
         tables, grid = self.tables, pixel_grid(depth.shape)

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.cuda.driver import Download, Event, one_fault
+from rainsim.cuda.driver import Download, one_fault
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.raster import Rasterizer, Workspace
-from rainsim.cuda.render.aov import AovReader
+from rainsim.cuda.render.aov import read_aovs
 from rainsim.cuda.render.passes import Passes
 from rainsim.cuda.splatting.prepared import DeviceSplats
 from rainsim.errors import ParameterError
@@ -28,7 +28,7 @@ class Drawn(NamedTuple):
 
     picture: np.ndarray  # there, once it is copied
     report: FrameReport
-    copied: Event
+    copied: object  # the event of its copy
 
     def finished(self):
         """Return picture and report; waits for the copy."""
@@ -55,7 +55,7 @@ class Renderer:
         self._room = sum(-(-len(actor.splats) // LANES) for actor in scene.actors)
         self._workspace, self._download = Workspace(), Download()
         self.conductor = Conductor(scene, terrain, config, first_camera, self._rasterizer_of)
-        self.passes, self._aovs = Passes(self.conductor), AovReader()
+        self.passes = Passes(self.conductor)
 
     def _rasterizer_of(self, prepared):
         if prepared.written is None:
@@ -106,7 +106,7 @@ class Renderer:
 
         frame.make(("image",), self.passes.work, mark)
         picture, copied = self._download.begin(frame["image"])
-        made = self._aovs.made(names, state, frame) if names else None
+        made = read_aovs(names, state, frame) if names else None
         report = report_of(conductor, state, own.stages, names, made)
         if conductor.ground.terrain.footprints:
             fps = conductor.config.fps

@@ -8,8 +8,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
-from rainsim.cuda.driver import Staging
-from rainsim.cuda.frame_uniforms import FrameUniforms
+from rainsim.cuda.driver import send
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.shading.lamp_images import add_lamps, shines
 from rainsim.cuda.shading.wet_pass import BLOCK, DeviceView, blocks
@@ -127,9 +126,9 @@ class LevelView:
 
     def __init__(self, tables):
         self._tables, self.camera, self.lamps = tables, DeviceView(), None
-        self._axis = FrameUniforms({"forward": ((2,), np.float32)})
+        self._forward = cuda.device_array(2, np.float32)
         self._fine_camera, self._shines = DeviceView(), shines(tables.conductor.wet_scene.scene)
-        self._room, self._staging = None, Staging()
+        self._room = None
         self._allocate(1, 1)
         self.camera.take(_NOWHERE, (0, 0))
 
@@ -152,8 +151,7 @@ class LevelView:
         )
         if room != self._room:
             self._allocate(*room)
-        self._axis.update(forward=level.forward[:2])
-        self._axis.send()
+        self._forward.copy_to_device(level.forward[:2].astype(np.float32))
         if self._shines:
             self._find_lamps(scene, level)
         else:
@@ -186,14 +184,13 @@ class LevelView:
         self.lamps = cuda.to_device(lamps) if len(lamps) else None
         if len(lamps):
             part = slice(0, level.height), slice(0, level.width)
-            picture = np.ascontiguousarray(without_lamps(seen.picture))
-            self._staging.send(self._pictures[0], picture, part)
+            send(self._pictures[0], without_lamps(seen.picture), part)
 
     @property
     def arrays(self):
         """The picture as kernels take it, a `LevelPicture`."""
-        depth, forward = self._pictures[1], self._axis["forward"]
-        return wet_ground_mirror.LevelPicture(self._atlas, depth, self.camera.lens, forward)
+        place = self._pictures[1], self.camera.lens, self._forward
+        return wet_ground_mirror.LevelPicture(self._atlas, *place)
 
 
 def _pictures(height, width):

@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 
-from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.splatting.project import FAINT
 from rainsim.scene.harmonics import BANDS, mixings
@@ -107,31 +106,24 @@ class PosedActors:
             boxes, geometry.reshape(used, GEOMETRY, LANES),
             np.concatenate([part.harmonics() for part in parts]),
         ))  # fmt: skip
-        count, f4 = self._degrees**2, np.float32
-        self._now = FrameUniforms({
-            "there": ((used,), np.int32), "poses": ((len(parts), POSE), f4),
-            "mixing": ((len(parts), count, count), f4),
-        })  # fmt: skip
         self._used, self._room = used, room
 
     def put(self, poses):
         """Queue the putting of actors at their poses, None of those that are away."""
-        splats, used, now = self._splats, self._used, self._now
+        splats, used, count = self._splats, self._used, self._degrees**2
         shown = np.array([pose is not None for pose in poses] or [False] * len(self._turning))
         rows = np.zeros((len(shown), POSE), np.float32)
-        mixing = np.zeros_like(now.host["mixing"])
+        mixing = np.zeros((len(shown), count, count), np.float32)
         for k, pose in enumerate(poses):
             if pose is not None:
                 rows[k] = (*pose.rotation.ravel(), *pose.position)
                 turn = pose.rotation if self._turning[k] else np.eye(3)
                 for band, each in zip(BANDS, mixings(turn, self._degrees), strict=False):
                     mixing[k, band, band] = each
-        there = np.where(shown[self._owner], self._owner, -1)
-        now.update(there=there, poses=rows, mixing=mixing)
-        now.send()
+        there = np.where(shown[self._owner], self._owner, np.int32(-1))
         pose_splats[-(-used * LANES // THREADS), THREADS](
-            now["there"], now["poses"], now["mixing"], *self._data, splats.groups,
-            splats.box, splats.span, splats.geometry, splats.sh,
+            *map(cuda.to_device, (there, rows, mixing)), *self._data, splats.groups, splats.box,
+            splats.span, splats.geometry, splats.sh,
         )  # fmt: skip
 
     def order(self, static, shown, first):

@@ -20,11 +20,11 @@ from rainsim.cuda.jit import (
     cuda_kernel,
     fast_device,
     fast_kernel,
-    float_bits,
     load4,
     load_halves,
     store4,
 )
+from rainsim.cuda.scalars import bits_of
 from rainsim.splatting import project
 from rainsim.splatting.level_choice import is_drawn
 from rainsim.splatting.prepared import LANES, OPACITY
@@ -125,7 +125,7 @@ def depth_level(z, now):
     takes no octaves; beyond the scene's usual reach a smaller share of the levels is left.
     """
     offset, first, reach = now[SCALE], now[SCALE + 1], now[SCALE + 2]
-    k = np.float32(float_bits(z + offset) - float_bits(first))
+    k = np.float32(bits_of(z + offset) - bits_of(first))
     dense = min(k, reach)
     return np.int32(dense * now[SCALE + 3] + (k - dense) * now[SCALE + 4])
 

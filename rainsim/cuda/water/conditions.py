@@ -7,7 +7,7 @@ device.
 
 import numpy as np
 
-from rainsim.cuda.driver import Counted, Staging
+from rainsim.cuda.driver import send
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.water.flow import LEAD
 from rainsim.water.conserving import PAD
@@ -74,8 +74,8 @@ class Strip:
         rows, columns = self._at
         self._places = cuda.to_device(rows * flow.layout.pitch + columns + LEAD)
         self._blocks, shape = -(-len(rows) // THREADS), (FILM + 1, len(rows))
-        self._values, self._staging = np.zeros(shape, np.float32), Staging()
-        self._table, self._counted = cuda.to_device(self._values), Counted(shape, np.float32)
+        self._values = np.zeros(shape, np.float32)
+        self._table = cuda.to_device(self._values)
         wide = RUN - 1
         runs = [
             (c.at[0][0], c.at[0][-1] + 1, west, min(west + wide, c.at[1][-1] + 1))
@@ -99,7 +99,7 @@ class Strip:
             h, remainder, u, v = flow.water
         for k, field in ((DEPTH, h), (U, u), (V, v), (REMAINDER, remainder)):
             self._values[k] = field[self._at]
-        self._staging.send(self._table, self._values)
+        send(self._table, self._values)
         write_cells[self._blocks, THREADS](
             self._places, flow.parity, self._table, flow.fields, flow.remainder
         )
@@ -110,7 +110,7 @@ class Strip:
         read_cells[self._blocks, THREADS](
             self._places, flow.parity, flow.fields, flow.remainder, sources.film_there, self._table
         )
-        values = self._counted.read(self._table)
+        values = self._table.copy_to_host()
         with flow.by_strip():
             h, remainder, u, v = flow.water
             film = sources.film

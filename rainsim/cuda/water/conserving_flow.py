@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 
-from rainsim.cuda.driver import Counted
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.water import flow as lean
 from rainsim.water.bundles import FrictionNumbers, Ground
@@ -39,7 +38,7 @@ class DeviceLeanFlow(LeanFlow):
         self._blocks = lean.blocks_of_columns(self.layout)
         self._squares = lean.blocks_of_cells(self.layout)
         self._found, self._maxima = (
-            (cuda.to_device(np.zeros((rows, x * y))), Counted((rows, x * y), np.float64))
+            cuda.to_device(np.zeros((rows, x * y)))
             for rows, (x, y) in ((3, self._blocks), (4, self._squares))
         )
 
@@ -135,12 +134,11 @@ class DeviceLeanFlow(LeanFlow):
     def _measure(self):
         if self.strip is not None:
             self.strip.send()
-        found, counted = self._maxima
         lean.measure[self._squares, (lean.SIDE, lean.HEIGHT)](
             self.fields, self._ground.bed, self.layout, self.parity, np.float32(self.lowest_bed),
-            found,
+            self._maxima,
         )  # fmt: skip
-        return counted.read(found).max(axis=1)
+        return self._maxima.copy_to_host().max(axis=1)
 
     def _raise_cap(self, peaks=None):
         peaks = self._measure() if peaks is None else peaks
@@ -159,7 +157,7 @@ class DeviceLeanFlow(LeanFlow):
         return [self._out]
 
     def _step(self, dt, pressure_time):
-        dtype, (found, counted) = np.float32, self._found
+        dtype = np.float32
         friction = FrictionNumbers(
             dtype(self._gravity * pressure_time), dtype(3 * self.viscosity * pressure_time),
             dtype(self._gravity), self.dry,
@@ -167,12 +165,12 @@ class DeviceLeanFlow(LeanFlow):
         with self.launching():
             lean.step[self._blocks, lean.THREADS](
                 self._ground, self.layout, self.numbers(dt, pressure_time, self.cap), friction,
-                self.parity, self.fields, found,
+                self.parity, self.fields, self._found,
             )  # fmt: skip
             speeds = 0.0, 0.0
             if self.strip is not None:  # what comes in passes faces that the device leaves out
                 speeds = self.strip.speeds(dt, pressure_time)
             self.parity, self.has_changed = 1 - self.parity, True
-            far, fast, self._out = counted.read(found)
+            far, fast, self._out = self._found.copy_to_host()
             self.wave_speed = max(float(far.max()), speeds[0])
             self.water_speed = max(float(fast.max()), speeds[1])
