@@ -91,15 +91,67 @@ def send(array, values, window=None):
         return
     values = np.ascontiguousarray(values, array.dtype)
     if window is None:
-        array[: len(values)].copy_to_device(values)
+        _check(driver.cuMemcpyHtoD(_place(array), values.ctypes.data, values.nbytes))
         return
     copy, (rows, columns) = driver.CUDA_MEMCPY2D(), window
     copy.srcMemoryType = driver.CUmemorytype.CU_MEMORYTYPE_HOST
     copy.srcHost, copy.srcPitch = values.ctypes.data, values[0].nbytes
     copy.dstMemoryType = driver.CUmemorytype.CU_MEMORYTYPE_DEVICE
-    place = array.__cuda_array_interface__["data"][0] + rows.start * array.strides[0]
+    place = _place(array) + rows.start * array.strides[0]
     copy.dstDevice, copy.dstPitch = place + columns.start * array.strides[1], array.strides[0]
     copy.WidthInBytes, copy.Height = values[0].nbytes, len(values)
-    (code,) = driver.cuMemcpy2D(copy)
-    if code:
-        raise BackendError(f"the CUDA driver answered {code.name} to a copy")
+    _check(driver.cuMemcpy2D(copy))
+
+
+def fetch(array):
+    """Return a copy of a contiguous device array, as numba's `copy_to_host` in a tenth of its time.
+
+    The host waits for what was queued before.
+    """
+    if SIMULATED:
+        return array.copy_to_host()
+    values = np.empty(array.shape, array.dtype)
+    _check(driver.cuMemcpyDtoH(values.ctypes.data, _place(array), values.nbytes))
+    return values
+
+
+class SentRows:
+    """Rows of the host on the device, in an array that grows where it must.
+
+    They go through page-locked memory, for which the host does not wait. It is written again a
+    frame later, when the host has waited for the device's counts.
+    """
+
+    def __init__(self, shape, kind):
+        self._make_room((1, *shape), kind)
+
+    def _make_room(self, shape, kind):
+        self.array, self._host = cuda.device_array(shape, kind), cuda.pinned_array(shape, kind)
+
+    def send(self, values):
+        """Queue the copy of rows to the first ones of `array`; return it."""
+        if len(values) > len(self.array):
+            shape = 2 * len(values) + 1024, *self.array.shape[1:]
+            self._make_room(shape, self.array.dtype)
+        there = self._host[: len(values)]
+        there[...] = values
+        if SIMULATED:
+            self.array[: len(values)] = there
+        elif len(values):
+            data = there.ctypes.data
+            _check(driver.cuMemcpyHtoDAsync(_place(self.array), data, there.nbytes, 0))
+        return self.array
+
+
+def _place(array):
+    """Return the address of a device array, which numba looks up in some microseconds."""
+    try:
+        return array.place
+    except AttributeError:
+        array.place = array.__cuda_array_interface__["data"][0]
+        return array.place
+
+
+def _check(result):
+    if result[0]:
+        raise BackendError(f"the CUDA driver answered {result[0].name} to a copy")

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.cuda.driver import fetch
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.cuda.warp import GROUP, THREADS, ballot, claim_row
@@ -307,7 +308,7 @@ class Impacts:
             now.send()  # which blanks the counts
             seek[BLOCKS, THREADS](*where, streaks.view, *rain, *self._sought)
             fill_impacts[BLOCKS, THREADS](*where, *self._sought, *rain, *self.listed)
-            lacking = int(now["found"].copy_to_host()[0]) - self.room
+            lacking = int(fetch(now["found"])[0]) - self.room
             if lacking <= 0:
                 return
             room = self.room + 2 * lacking

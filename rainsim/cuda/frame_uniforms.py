@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rainsim.cuda.driver import send
 from rainsim.cuda.jit import cuda
 
 ALIGN = 16  # bytes
@@ -34,4 +35,4 @@ class FrameUniforms:
 
     def send(self):
         """Copy all arrays to the device."""
-        self._there.copy_to_device(self._set)
+        send(self._there, self._set)

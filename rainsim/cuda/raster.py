@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from rainsim import raster
-from rainsim.cuda.driver import one_fault, prepare
+from rainsim.cuda.driver import fetch, one_fault, prepare, send
 from rainsim.cuda.jit import SIMULATED, cuda
 from rainsim.cuda.lod.room import DeviceRoom
 from rainsim.cuda.splatting import blend, project
@@ -168,7 +168,7 @@ class Rasterizer:
         With a `divisor` depths are digits of the splats' numbers, see `project.number_records`.
         """
         s, (width, height) = self.splats, (camera.width, camera.height)
-        self._now.copy_to_device(self._numbers_of(camera, near, plane, detail).astype(np.float32))
+        send(self._now, self._numbers_of(camera, near, plane, detail))
         flat, bands = bool(camera.orthographic), s.bands if degree is None else degree + 1
         bands, compensate = min(bands, s.bands), bool(compensate or s.compensate)
         ranges = self._list(width, height, flat, compensate, bands, leading)
@@ -224,7 +224,7 @@ class Rasterizer:
                     s.geometry, s.sh, seen, now, flat, compensate, bands, s.groups, across,
                     levels, record, key, value, self._total,
                 )  # fmt: skip
-            self.entries = int(self._total.copy_to_host()[0])
+            self.entries = int(fetch(self._total)[0])
             if self.entries <= len(key):
                 break
             self._room = int(ROOM * self.entries) + THREADS

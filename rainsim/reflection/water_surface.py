@@ -108,13 +108,8 @@ def _far_surface(bed, depth, mirrors):
     empty = count == 0
     if empty.all():
         return None
-    return nearest_levels(empty, total / np.maximum(count, 1))
-
-
-def nearest_levels(empty, level):
-    """Return the level of each block that is not `empty`, of the others that of the nearest one."""
     nearest = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
-    return level[tuple(nearest)]
+    return (total / np.maximum(count, 1))[tuple(nearest)]
 
 
 @cpu_kernel

@@ -6,6 +6,7 @@ The host reads the cells and finds the light of the drops by them, as for the CP
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
+from rainsim.cuda.driver import fetch
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.particles.drop_radiance import CELLS, Behind, cell_edges, light_before
 
@@ -26,7 +27,7 @@ class DropLight:
         environment, everywhere, view. Of the host, see `falling_light`.
         """
         coarsen[CELLS[0] * CELLS[1], _SUMMERS](picture, depth, *self._behind)
-        behind = Behind(*(part.copy_to_host() for part in self._behind))
+        behind = Behind(*(fetch(part) for part in self._behind))
         pose = view.ground_from_camera, view.lens, depth.shape
         return tuple(map(cuda.to_device, light_before(behind, environment, everywhere, *pose)))
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from rainsim.constants import ZERO
 from rainsim.cuda import drops
+from rainsim.cuda.driver import fetch
 from rainsim.cuda.frame_uniforms import FrameUniforms
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.particles.streaks import view_of
@@ -139,4 +140,4 @@ class Splashes:
         list_splashes[drops.BLOCKS, GROUPS](listed, seen.field.velocity, *shown, *there)
         if seen.drips is not None:
             seen.drips.gather(seen.surfaces, *shown, *there)
-        return int(count.copy_to_host()[0])
+        return int(fetch(count)[0])

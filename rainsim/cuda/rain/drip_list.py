@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.cuda.driver import SentRows
 from rainsim.cuda.drops import BLOCKS
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.particles.streaks import view_of
@@ -80,12 +81,12 @@ class DripList:
     """Drips in the air and those that have just landed, on the device."""
 
     def __init__(self):
+        self._table, self._ids = SentRows((DRIP,), np.float64), SentRows((), np.uint64)
         self.fill(NO_DRIPS, NO_IDS)
 
     def fill(self, table, ids):
         """Copy a list of drips from the host to the device, as `SimState` has it."""
-        rows = cuda.to_device(np.ascontiguousarray(table))
-        self._there = ListedDrips(len(ids), rows, cuda.to_device(ids))
+        self._there = ListedDrips(len(ids), self._table.send(table), self._ids.send(ids))
 
     def draw(self, view, scene, picture):
         """Queue the drawing into the streaks' picture; see `draw_drips`."""

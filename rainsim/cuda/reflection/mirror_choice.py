@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ZERO
+from rainsim.cuda.driver import fetch
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.reflection.mirror_choice import LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS, mirror_levels
 from rainsim.scene.view import pixel_ray
@@ -88,7 +89,7 @@ class LevelChoice:
         count_heights[(-(-width // THREADS), -(-height // COUNT_ROWS)), THREADS](
             hit, coverage, view, self._first_bin, counts
         )
-        seen = counts.copy_to_host()
+        seen = fetch(counts)
         count, extent, levels = seen[:BINS], tuple(seen[BINS:].tolist()), []
         if not count.any():
             return levels, extent

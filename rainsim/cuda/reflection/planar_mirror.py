@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rainsim.cuda.driver import send
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.reflection.mirror_choice import EVERYWHERE, THREADS, LevelChoice
 from rainsim.cuda.shading.wet_pass import DeviceView
@@ -119,7 +120,7 @@ class Mirrors:
         served = np.tile(np.float32([0, EVERYWHERE, -EVERYWHERE]), (MOST_MIRRORS, 1))
         for k, level in enumerate(levels):
             served[k] = level
-        self.arrays.range.copy_to_device(served)
+        send(self.arrays.range, served)
         if levels:
             left, top, right, bottom = extent
             shape, lens = (camera.height, camera.width), (camera.fx, camera.fy)
@@ -137,8 +138,8 @@ class Mirrors:
         """Queue the grading of a mirrored picture, whose splats are drawn, and its mip levels."""
         view, (picture, depth, coarse) = scene.view_of(camera), self._each[k]
         rows, columns = layers.alpha.shape
-        self.arrays.window.copy_to_device(np.array([*view.lens, columns, rows], np.float32))
-        self.arrays.ground_from_camera.copy_to_device(view.ground_from_camera)
+        send(self.arrays.window, [*view.lens, columns, rows])
+        send(self.arrays.ground_from_camera, view.ground_from_camera)
         self._views[k].take(view, (rows, columns))
         self._tables.grade(layers, self._views[k], picture, depth, self._clearance, mirrored=True)
         blocks = -(-columns // (2 * SQUARE_CELLS)), -(-rows // (2 * SQUARE_CELLS))

@@ -5,6 +5,7 @@ import numpy as np
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.cuda.jit import cuda, cuda_device, cuda_kernel
 from rainsim.cuda.reflection.puddle_rings import share_wet, spread_rings
+from rainsim.errors import ParameterError
 from rainsim.numerics.interpolation import bilinear
 from rainsim.reflection.puddle_rings import block_shape
 from rainsim.reflection.water_surface import (
@@ -16,16 +17,18 @@ from rainsim.reflection.water_surface import (
     WET_CELL,
     WIDE,
     is_smooth,
-    nearest_levels,
 )
 
 THREADS = SIDE, HIGH = 32, 8
 CELLS_OF_A_BLOCK = SIDE * HIGH  # threads; a block of them takes a square of SIDE x SIDE cells
+LINE = 128  # threads that look along a row or column of blocks of cells
+MOST_BLOCKS = 4096  # in a row or column
 WIDE_REACH, SOFT_REACH = len(WIDE) // 2, len(NARROW) // 2
 SPREAD_SIDE, SOFT_SIDE = SIDE + 2 * WIDE_REACH, SIDE + 2 * SOFT_REACH
 CELLS = np.float32(BLOCK)
 DRY = np.float32(-1e6)  # m, the level of a cell without a surface
 NO_HEIGHT = np.float32(-1e9)  # m, of the highest water where there is none
+FAR = np.int64(1 << 40)
 
 
 @cuda_device
@@ -68,6 +71,54 @@ def sum_blocks(bed, depth, mirrors, count_out, mean_out, highest):
             total += room[x + k, 1]
         count_out[block_j, block_i] = count
         mean_out[block_j, block_i] = base + total / max(count, ONE)
+
+
+@cuda_kernel
+def nearest_rows(count, row_out):
+    """Find, within each block's column, the row of the nearest block that has water; -1 if none.
+
+    A block of threads takes a column.
+    """
+    wet = cuda.shared.array(MOST_BLOCKS, np.float32)
+    rows, i = count.shape[0], cuda.blockIdx.x
+    for j in range(cuda.threadIdx.x, rows, cuda.blockDim.x):
+        wet[j] = count[j, i]
+    cuda.syncthreads()
+    for j in range(cuda.threadIdx.x, rows, cuda.blockDim.x):
+        found, away = -1, 0
+        while found < 0 and away < rows:
+            if j + away < rows and wet[j + away] > ZERO:
+                found = j + away
+            if j - away >= 0 and wet[j - away] > ZERO:
+                found = j - away
+            away += 1
+        row_out[j, i] = found
+
+
+@cuda_kernel
+def nearest_blocks(row, mean, far_out):
+    """Write for each block the level of the nearest block that has one.
+
+    A block of threads takes a row.
+    """
+    nearest = cuda.shared.array(MOST_BLOCKS, np.int32)
+    columns, j = row.shape[1], cuda.blockIdx.x
+    for i in range(cuda.threadIdx.x, columns, cuda.blockDim.x):
+        nearest[i] = row[j, i]
+    cuda.syncthreads()
+    for i in range(cuda.threadIdx.x, columns, cuda.blockDim.x):
+        best, at = FAR, -1
+        away = 0
+        while away < columns and away * away < best:
+            for side in range(2):
+                m = i - away if side == 0 else i + away
+                if m >= 0 and m < columns:
+                    k = nearest[m]
+                    square = away * away + (k - j) * (k - j)
+                    if k >= 0 and square < best:
+                        best, at = square, m
+            away += 1
+        far_out[j, i] = mean[nearest[at], at] if at >= 0 else ZERO
 
 
 @cuda_device
@@ -219,9 +270,15 @@ class WaterSurface:
             cuda.device_array(shape, np.float32) for _ in range(3)
         )
         coarse = -(-shape[0] // BLOCK), -(-shape[1] // BLOCK)
+        if max(coarse) > MOST_BLOCKS:
+            raise ParameterError(
+                f"the map has {shape} cells; backend cuda takes at most {MOST_BLOCKS * BLOCK} in a "
+                "row; take a coarser --spacing or backend cpu"
+            )
         self._count, self._mean, self._far = (
             cuda.device_array(coarse, np.float32) for _ in range(3)
         )
+        self._row = cuda.device_array(coarse, np.int32)
         self.highest = cuda.device_array(1, np.float32)
         self._reach = cuda.to_device(reach)
         self._wet_share, self.shores = (
@@ -229,17 +286,15 @@ class WaterSurface:
         )
 
     def draw(self, depth):
-        """Queue the making of the surface of water of a depth, device array (ny, nx) [m]; waits.
-
-        Which blocks lie nearest to those without water the host finds.
-        """
+        """Queue the making of the surface of water of a depth, device array (ny, nx) [m]."""
         rows, columns = self.surface.shape
         cells = (-(-columns // SIDE), -(-rows // HIGH)), THREADS
         squares = (-(-columns // SIDE), -(-rows // SIDE)), THREADS
+        rows, columns = self._count.shape
         water = self._bed, depth, self._mirrors
         sum_blocks[cells](*water, self._count, self._mean, self.highest)
-        count, mean = self._count.copy_to_host(), self._mean.copy_to_host()
-        self._far.copy_to_device(nearest_levels(count == 0, mean))
+        nearest_rows[columns, LINE](self._count, self._row)
+        nearest_blocks[rows, LINE](self._row, self._mean, self._far)
         spread[squares](*water, self._relief, self._wide, self._far, self.surface, self._rough)
         soften[squares](self._rough, self.surface, self._narrow, self.over, self.highest)
         rows, columns = self.shores.shape

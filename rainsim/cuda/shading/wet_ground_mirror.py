@@ -151,7 +151,7 @@ class LevelView:
         )
         if room != self._room:
             self._allocate(*room)
-        self._forward.copy_to_device(level.forward[:2].astype(np.float32))
+        send(self._forward, level.forward[:2])
         if self._shines:
             self._find_lamps(scene, level)
         else:

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from rainsim.cuda.driver import fetch
 from rainsim.cuda.jit import cuda
 from rainsim.cuda.water import flow as lean
 from rainsim.water.bundles import FrictionNumbers, Ground
@@ -138,7 +139,7 @@ class DeviceLeanFlow(LeanFlow):
             self.fields, self._ground.bed, self.layout, self.parity, np.float32(self.lowest_bed),
             self._maxima,
         )  # fmt: skip
-        return self._maxima.copy_to_host().max(axis=1)
+        return fetch(self._maxima).max(axis=1)
 
     def _raise_cap(self, peaks=None):
         peaks = self._measure() if peaks is None else peaks
@@ -171,6 +172,6 @@ class DeviceLeanFlow(LeanFlow):
             if self.strip is not None:  # what comes in passes faces that the device leaves out
                 speeds = self.strip.speeds(dt, pressure_time)
             self.parity, self.has_changed = 1 - self.parity, True
-            far, fast, self._out = self._found.copy_to_host()
+            far, fast, self._out = fetch(self._found)
             self.wave_speed = max(float(far.max()), speeds[0])
             self.water_speed = max(float(fast.max()), speeds[1])

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
+from rainsim.cuda.driver import SentRows
 from rainsim.cuda.jit import SIMULATED, cuda, cuda_kernel
 from rainsim.errors import ParameterError
 from rainsim.reflection.slope_moments import MOMENTS, mean_of_four, place_of, ripple_moments
@@ -258,6 +259,7 @@ class Ripples:
         parts = tile._eta.real, tile._eta.imag, tile._lag.real, tile._lag.imag
         waves = np.stack([part.reshape(-1) for part in parts]).astype(np.float32)
         self._waves = cuda.to_device(waves)
+        self._drops = SentRows((4,), np.float64)
         self.pushes = cuda.to_device(np.zeros(2 * self._maps * n * n, np.int64))
         maps, flat = np.zeros(self._maps * n * n, np.float32), np.zeros((2, n, n), np.float32)
         self._maps_on_device = [cuda.to_device(maps) for _ in range(4)]
@@ -270,7 +272,7 @@ class Ripples:
         age : array (n,). Time since they came down over that of the frame.
         """
         if len(age):
-            count, drops = len(age), cuda.to_device(np.column_stack([position, momentum, age]))
+            count, drops = len(age), self._drops.send(np.column_stack([position, momentum, age]))
             ring_each[-(-count // THREADS), THREADS](count, drops, self.tile, self.pushes)
 
     def advance(self):

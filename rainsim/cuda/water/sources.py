@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.constants import ZERO
+from rainsim.cuda.driver import SentRows, fetch
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.cuda.moving_map import MovingMap, joined
 from rainsim.cuda.water.flow import (
@@ -142,6 +143,7 @@ class DeviceSources:
         self._blocks = blocks_of_cells(flow.layout)
         sums = SUMS, self._blocks[0] * self._blocks[1]
         self._sums = cuda.to_device(np.zeros(sums))
+        self._places, self._drops = SentRows((), np.int64), SentRows((), np.int64)
         west = LEAD + PAD
         there = self._soil.exposure.reshape(-1, flow.layout.pitch)
         there = there[PAD : PAD + shape[0], west : west + shape[1]]
@@ -227,7 +229,7 @@ class DeviceSources:
         with self._flow.launching():
             self._launch(dt)
             self._is_ahead = True
-        taken, drained, dropped, *_ = self._sums.copy_to_host().sum(axis=1)
+        taken, drained, dropped, *_ = fetch(self._sums).sum(axis=1)
         ledger.rain += (self.rain_sum * dt + float(dropped) * UNIT) * self._area
         ledger.infiltrated += float(taken) * self._area
         ledger.drained += float(drained) * self._area
@@ -247,13 +249,14 @@ class DeviceSources:
             if self._flow.strip is not None:
                 self._flow.strip.send()
             self._launch(-1.0)
-        return self._sums.copy_to_host()[GROUND:].sum(axis=1).tolist()
+        return fetch(self._sums)[GROUND:].sum(axis=1).tolist()
 
     def deposit(self, rows, columns, volumes):
         """Let drops of some volumes [m3] wait in cells."""
         depth = np.rint(np.asarray(volumes, np.float64) / (self._area * UNIT)).astype(np.int64)
-        places, count = cuda.to_device(self._flow.places(rows, columns)), len(depth)
-        add_drops[-(-count // SQUARE), SQUARE](count, places, cuda.to_device(depth), self.waiting)
+        places = self._places.send(self._flow.places(rows, columns))
+        count, depths = len(depth), self._drops.send(depth)
+        add_drops[-(-count // SQUARE), SQUARE](count, places, depths, self.waiting)
 
     def drain(self, rows, columns, volumes):
         """Take up to `volumes` [m3] of free water from cells; return the volume taken [m3]."""
