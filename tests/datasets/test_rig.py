@@ -279,7 +279,7 @@ def test_the_calibration_lies_beside(drawn):
         ("offset = 125", "offset = 0.125\nrate = 7", "TOML"),
         ("offset = 125", "offset = 125.3", "common step of 0.1 ms; it must be 1 ms"),
         ('sensor = "vlp16"', 'sensor = "x"', "sensor is 'x'; it must be one of vlp16"),
-        ("at = [0.0, 0.0, 1.1]", "at = [0.0, 0.0]", "at is .* a list of 3 numbers"),
+        ("at = [0.0, 0.0, 1.1]", "at = [0.0, 0.0]", "at is .* finite numbers of shape 3"),
         ("[[lidar]]", "[[sonar]]", "table 'sonar'; no rig has one"),
         ("rate = 4", "rats = 4", "key 'rats'; the nearest is 'rate'"),
     ],

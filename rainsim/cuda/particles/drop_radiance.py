@@ -6,9 +6,9 @@ The host reads the cells and finds the light of the drops by them, as for the CP
 import numpy as np
 
 from rainsim.constants import ONE, ZERO
-from rainsim.cuda.driver import fetch
+from rainsim.cuda.driver import fetch, send
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.particles.drop_radiance import CELLS, Behind, cell_edges, light_before
+from rainsim.particles.drop_radiance import CELLS, GRID, Behind, cell_edges, light_before
 
 _SUMMERS = 64  # threads that add up the pixels of a cell
 
@@ -20,6 +20,7 @@ class DropLight:
         self._behind = Behind(
             cuda.device_array((*CELLS, 3), np.float32), cuda.device_array(CELLS, np.float32)
         )
+        self._light = tuple(cuda.device_array((*GRID, 3), np.float32) for _ in range(2))
 
     def find(self, picture, depth, environment, everywhere, view):
         """Return the fields of drops and sheets over a picture, device arrays; waits.
@@ -29,7 +30,11 @@ class DropLight:
         coarsen[CELLS[0] * CELLS[1], _SUMMERS](picture, depth, *self._behind)
         behind = Behind(*(fetch(part) for part in self._behind))
         pose = view.ground_from_camera, view.lens, depth.shape
-        return tuple(map(cuda.to_device, light_before(behind, environment, everywhere, *pose)))
+        for there, light in zip(
+            self._light, light_before(behind, environment, everywhere, *pose), strict=True
+        ):
+            send(there, light)
+        return self._light
 
 
 @cuda_kernel

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from rainsim.constants import ZERO
-from rainsim.cuda.driver import fetch
+from rainsim.cuda.driver import fetch, send
 from rainsim.cuda.jit import cuda, cuda_kernel
 from rainsim.reflection.mirror_choice import LEVEL_STEP, LEVEL_STEPS, MOST_MIRRORS, mirror_levels
 from rainsim.scene.view import pixel_ray
@@ -73,6 +73,7 @@ class LevelChoice:
 
     def __init__(self, lowest):
         self._first_bin = math.floor(lowest / LEVEL_STEP) - 8
+        self._counts = cuda.device_array(len(NO_COUNTS), np.int32)
 
     def choose(self, hit, coverage, view, name):
         """Return the levels, and where water is seen; `group_levels` shares out likewise; waits.
@@ -85,7 +86,8 @@ class LevelChoice:
             extent : tuple of int [px]. First column and row, last column and row.
         """
         height, width = coverage.shape
-        counts = cuda.to_device(NO_COUNTS)
+        counts = self._counts
+        send(counts, NO_COUNTS)
         count_heights[(-(-width // THREADS), -(-height // COUNT_ROWS)), THREADS](
             hit, coverage, view, self._first_bin, counts
         )

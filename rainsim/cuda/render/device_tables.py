@@ -42,6 +42,10 @@ class DeviceTables:
             depths=to_device(tops.depths), holds=to_device(tops.holds),
             origin=to_device(tops.origin),
         )  # fmt: skip
+        self._arrays |= {name: cuda.device_array(size, np.float32) for name, size in (
+            ("sun", 6), ("air", 3), ("tops", (max(len(tops.form), 1), 2))
+        )}  # fmt: skip
+        self.tops = self._tops._replace(water=self._arrays["tops"])
         self._maps = {
             name: MovingMap(self._arrays[name], still)
             for name, still in (
@@ -72,10 +76,11 @@ class DeviceTables:
                 give(value)
                 self._sent[name] = value
         self.camera.take(conductor.view, (camera.height, camera.width))
-        self.tops = self._tops._replace(water=to_device(inputs["tops"].water))
         self.march = March().settings(camera.width)
+        if len(self.tops.form):
+            send(self.tops.water, inputs["tops"].water)
         for name in ("sun", "air"):
-            self._arrays[name] = to_device(inputs[name])
+            send(self._arrays[name], inputs[name])
 
     def _kept(self):
         """Return what is sent again when another stands in its place: name, value, how."""
