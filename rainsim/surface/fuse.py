@@ -390,8 +390,7 @@ def fit_planes(part, away, near, position, towards, size, plain, normal_out, fla
 def diagonalize(matrix, axes_out):
     """Turn a symmetric matrix (3, 3) into its diagonal form in place, by Jacobi's rotations.
 
-    The columns of `axes_out` are then the eigenvectors. LAPACK takes ten times as long for one that
-    is so small, and its threads wait for each other's memory.
+    The columns of `axes_out` are then the eigenvectors.
     """
     for i in range(3):
         for j in range(3):
