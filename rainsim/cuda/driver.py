@@ -1,7 +1,7 @@
 """Copies between host and device, and faults of the device.
 
-All work is queued on the default stream, in the order of the calls; for the copy of a finished
-picture alone the host does not wait, see `Download`.
+All work is queued on the default stream, in the order of the calls. The host waits for copies but
+for those of a finished picture, see `Download`, and of rows that change each frame, see `SentRows`.
 """
 
 import contextlib
@@ -104,9 +104,9 @@ def send(array, values, window=None):
 
 
 def fetch(array):
-    """Return a copy of a contiguous device array, as numba's `copy_to_host` in a tenth of its time.
+    """Return a copy of a contiguous device array; the host waits for what was queued before.
 
-    The host waits for what was queued before.
+    It makes none of the checks that numba's `copy_to_host` makes before each copy.
     """
     if SIMULATED:
         return array.copy_to_host()
@@ -118,11 +118,12 @@ def fetch(array):
 class SentRows:
     """Rows of the host on the device, in an array that grows where it must.
 
-    They go through page-locked memory, for which the host does not wait. It is written again a
-    frame later, when the host has waited for the device's counts.
+    They go through page-locked memory, so that the host waits only if the rows that it sent before
+    are still being copied.
     """
 
     def __init__(self, shape, kind):
+        self._copied = cuda.event()
         self._make_room((1, *shape), kind)
 
     def _make_room(self, shape, kind):
@@ -130,6 +131,7 @@ class SentRows:
 
     def send(self, values):
         """Queue the copy of rows to the first ones of `array`; return it."""
+        self._copied.synchronize()
         if len(values) > len(self.array):
             shape = 2 * len(values) + 1024, *self.array.shape[1:]
             self._make_room(shape, self.array.dtype)
@@ -140,6 +142,7 @@ class SentRows:
         elif len(values):
             data = there.ctypes.data
             _check(driver.cuMemcpyHtoDAsync(_place(self.array), data, there.nbytes, 0))
+            self._copied.record()
         return self.array
 
 
