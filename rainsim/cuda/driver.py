@@ -129,19 +129,22 @@ class SentRows:
     def _make_room(self, shape, kind):
         self.array, self._host = cuda.device_array(shape, kind), cuda.pinned_array(shape, kind)
 
-    def send(self, values):
-        """Queue the copy of rows to the first ones of `array`; return it."""
+    def send(self, values, first=0):
+        """Queue the copy of rows to those of `array` from the first on; return it.
+
+        Where it has no room for them, another takes its place, without the other rows.
+        """
         self._copied.synchronize()
-        if len(values) > len(self.array):
-            shape = 2 * len(values) + 1024, *self.array.shape[1:]
+        if first + len(values) > len(self.array):
+            shape = 2 * (first + len(values)) + 1024, *self.array.shape[1:]
             self._make_room(shape, self.array.dtype)
         there = self._host[: len(values)]
         there[...] = values
         if SIMULATED:
-            self.array[: len(values)] = there
+            self.array[first : first + len(values)] = there
         elif len(values):
-            data = there.ctypes.data
-            _check(driver.cuMemcpyHtoDAsync(_place(self.array), data, there.nbytes, 0))
+            place = _place(self.array) + first * self.array.strides[0]
+            _check(driver.cuMemcpyHtoDAsync(place, there.ctypes.data, there.nbytes, 0))
             self._copied.record()
         return self.array
 

@@ -16,8 +16,8 @@ from rainsim.cuda.rain.drip_list import DripList
 from rainsim.cuda.rain.moving_surfaces import Shelter
 from rainsim.cuda.water.ripples import Ripples
 from rainsim.drops import Weather
-from rainsim.io.states import NO_DRIPS, NO_IDS
 from rainsim.jit import may_run_beside
+from rainsim.rain.dripping import listed
 from rainsim.rain.exposure import rain_exposure
 from rainsim.rain.moving_surfaces import AHEAD, FRAMES_AHEAD
 from rainsim.water.keyframed import moved_water
@@ -31,6 +31,7 @@ class DeviceState:
         overwritten by the simulation's next step, as `moments` is.
     moments : device array of shape (n, n + n // 2, 6). Of the ripples' slopes, see
         `reflection.slope_moments`.
+    parted : tuple of PartedDrips. Drips on the host; `drip_list` has them here.
     step : int. Of the simulation.
     """
 
@@ -40,8 +41,7 @@ class DeviceState:
     moments: object
     tile_size: float
     ledger: dict
-    drips: np.ndarray
-    drip_id: np.ndarray
+    parted: tuple
     top_water: np.ndarray
     notes: tuple
     simulation: object
@@ -56,8 +56,18 @@ class DeviceState:
         return replace(self, time=time)
 
     @property
+    def drips(self):
+        """Drips as `SimState` holds them, and some that landed before; made when asked for."""
+        return listed(self.parted)[0]
+
+    @property
+    def drip_id(self):
+        """Ids of `drips`."""
+        return listed(self.parted)[1]
+
+    @property
     def drip_list(self):
-        """`drips` on the device: a `DripList`, or None without any."""
+        """The drips on the device: a `DripList`, or None where nothing drips."""
         return self.simulation.drip_list
 
 
@@ -123,12 +133,11 @@ class Simulation:
         index, fps, water, objects = self._index, self.config.fps, self.water, self._objects
         if index > 0:
             self._step(index)
-        drips = objects.falling() or (NO_DRIPS, NO_IDS)
         if self.drip_list is not None:
-            self.drip_list.fill(*drips)
+            self.drip_list.follow(objects.parted)
         state = DeviceState(
             index, index / fps, water.sources.depth, self.ripples.moments, self.ripples.tile.size,
-            objects.ledger(None, water).as_dict(), *drips, objects.top_water(),
+            objects.ledger(None, water).as_dict(), objects.parted, objects.top_water(),
             self._notes if index == 0 else (), self, index,
         )  # fmt: skip
         # The host's part of the next step is done beside the drawing of this frame.

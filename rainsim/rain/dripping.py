@@ -5,12 +5,14 @@ there is enough for a drop. Under an overhang the drop falls, from rest; at a wa
 the ground the water runs down and off at the wall's foot. Every surface keeps a film of water.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy import sparse
 
 from rainsim.constants import GRAVITY
 from rainsim.io import cache
-from rainsim.io.states import DRIP_COLUMNS, NO_DRIPS, NO_IDS
+from rainsim.io.states import NO_DRIPS, NO_IDS
 from rainsim.jit import device_function
 from rainsim.numerics.random import mix, subkey, uniform
 from rainsim.rain.heightfield import GROUND, OBSTACLE
@@ -28,7 +30,20 @@ CLIMB = 200.0  # m of detour along the object that a metre of climb is worth
 LEAST_KEPT = 1 << 18  # cells of a map whose drip points are kept; a smaller one takes .1 s
 KEPT = 0.45  # s that landed drops are remembered for their splashes
 _MOST_AT_ONCE = 64  # drops from one point in one step; more is a jet
-END = DRIP_COLUMNS.index("end")
+
+
+class PartedDrips(NamedTuple):
+    """Drops that parted from edges in one step, in the order in which they land."""
+
+    table: np.ndarray  # (n, 9), see `io.states.DRIP_COLUMNS`
+    ids: np.ndarray  # (n,) uint64
+    site: np.ndarray  # (n,) int64: their drip points
+    end: np.ndarray  # (n,) [s], a column of the table
+    later: np.ndarray  # (n + 1,) [m3]: volume of the drops from each on
+
+    def ending(self, start, stop):
+        """Return the slice of the drops that land from `start` to `stop` [s], the end excluded."""
+        return slice(*np.searchsorted(self.end, (start, stop)))
 
 
 class Drips:
@@ -40,6 +55,8 @@ class Drips:
         water that can reach no edge.
     airborne : float. Water in falling drips [m3].
     landed : Impacts. The drops that came down in the last step.
+    parted : tuple of PartedDrips. Those in the air and just landed, by step; each
+        step makes another tuple.
     point : int32 array (ny, nx). The drip point that a cell's water goes to; -1
         for ground, -2 where it finds no edge.
     """
@@ -76,9 +93,8 @@ class Drips:
         self._drops = np.zeros(count, np.int64)
         self._lost = 0.0  # lies where no edge can be reached
         self._film = 0.0
-        self._table, self._ids, self._site = NO_DRIPS, NO_IDS, np.zeros(0, np.int64)
-        self.airborne, self.landed = 0.0, None
-        self._until = -np.inf  # s, the end of the last step
+        self.airborne, self.landed, self.parted = 0.0, None, ()
+        self._until = self._kept = -np.inf  # s: the end of the last step; since when drips count
 
     @property
     def held(self):
@@ -113,20 +129,22 @@ class Drips:
         Returns row, column : int64 array (m,)
             volume : float64 array (m,) [m3]. What came to the ground.
         """
-        kept = np.flatnonzero(self._table[:, END] >= min(self._until, stop - KEPT))
-        old, new = (self._table, self._ids, self._site), self._part(start, stop, wind, roughness)
-        # Each step makes new arrays: states hold those of the steps before.
-        self._table, self._ids, self._site = (
-            np.concatenate([a.take(kept, axis=0), b]) for a, b in zip(old, new, strict=True)
+        since, self._kept = self._until, min(self._until, stop - KEPT)
+        still = [parted for parted in self.parted if parted.end[-1] >= self._kept]
+        new = self._part(start, stop, wind, roughness)
+        self.parted = (*still, new) if len(new.ids) else tuple(still)
+        hits = [(parted, parted.ending(since, stop)) for parted in self.parted]
+        self.airborne = sum(float(parted.later[hit.stop]) for parted, hit in hits)
+        # One that lands is at the beginning of few steps: the others are not looked at.
+        hits = [(parted, hit) for parted, hit in hits if hit.start < hit.stop] or [(new, slice(0))]
+        table, ids, fallen = (
+            np.concatenate([parted[k][hit] for parted, hit in hits]) for k in range(3)
         )
-        end = self._table[:, END].copy()  # side by side they are read faster
-        hit = np.flatnonzero((end >= self._until) & (end < stop))
-        landed = drip_impacts(self._table[hit], self._ids[hit], self._surfaces, self._until, stop)
-        self.airborne = float(self._volume[self._site[end >= stop]].sum())
+        landed = drip_impacts(table, ids, self._surfaces, since, stop)
         self._until, self.landed = stop, landed
         walls = np.flatnonzero(~self._falls & (self._store > 0))
-        site = np.concatenate([self._site[hit], walls])
-        volume = np.concatenate([self._volume[self._site[hit]], self._store[walls]])
+        site = np.concatenate([fallen, walls])
+        volume = np.concatenate([self._volume[fallen], self._store[walls]])
         self._store[walls] = 0.0
         again = self._next[site]
         below, down = again >= 0, again == -1
@@ -135,13 +153,13 @@ class Drips:
         row, column = self._row[site], self._column[site]
         # Drops land where the wind has taken them, unless that is on an object.
         free = self.point[landed.row, landed.column] == -1
-        np.copyto(row[: len(hit)], landed.row, where=free)
-        np.copyto(column[: len(hit)], landed.column, where=free)
+        np.copyto(row[: len(fallen)], landed.row, where=free)
+        np.copyto(column[: len(fallen)], landed.column, where=free)
         return row[down], column[down], volume[down]
 
     def falling(self):
         """Return drips in the air and just landed, see `io.states.DRIP_COLUMNS`, and their ids."""
-        return self._table, self._ids
+        return listed(self.parted, self._kept)
 
     def _receive(self, came):
         """Fill the films first, then the edges."""
@@ -151,10 +169,7 @@ class Drips:
         self._store += came - taken
 
     def _part(self, start, stop, wind, roughness):
-        """Return the drops that part from their edges in an interval, evenly over it.
-
-        Returns table, ids, site : array (n, 9), (n,), (n,). See `falling`; the points.
-        """
+        """Return as `PartedDrips` those that leave their edges in an interval, evenly over it."""
         full = np.flatnonzero(self._falls & (self._store >= self._volume))
         count = self._store[full] / self._volume[full]
         count = np.minimum(count, _MOST_AT_ONCE).astype(np.int64)
@@ -166,7 +181,22 @@ class Drips:
         begin = start + (stop - start) * ((within + uniform(ids)) / several)
         blows = np.multiply.outer(wind_at(0.5 * self._height[site], roughness), wind)
         end = begin + self._fall_time[site]
-        return np.column_stack([self._places[site], begin, end, blows]), ids, site
+        order = np.argsort(end, kind="stable")
+        table = np.column_stack([self._places[site], begin, end, blows])[order]
+        site, later = site[order], np.zeros(len(site) + 1)
+        later[:-1] = np.cumsum(self._volume[site][::-1])[::-1]
+        return PartedDrips(table, ids[order], site, end[order], later)
+
+
+def listed(parted, since=-np.inf):
+    """Return table and ids of those `PartedDrips` that end from a time [s] on, see `falling`."""
+    if not parted:
+        return NO_DRIPS, NO_IDS
+    firsts = [np.searchsorted(each.end, since) for each in parted]
+    return tuple(
+        np.concatenate([each[k][first:] for each, first in zip(parted, firsts, strict=True)])
+        for k in range(2)
+    )
 
 
 @device_function

@@ -81,8 +81,9 @@ def mirror_levels(count, most):
     for _ in range(most):
         if count.sum() < LEAST_SHARE * total:
             break
-        sums = np.convolve(count, np.ones(LEVEL_STEPS, np.int64))[LEVEL_STEPS - 1 :]
-        first = int(np.argmax(sums))
+        below = np.append(0, count.cumsum())
+        ends = np.minimum(np.arange(len(count)) + LEVEL_STEPS, len(count))
+        first = int(np.argmax(below[ends] - below[:-1]))
         inside = count[first : first + LEVEL_STEPS].cumsum()
         if inside[-1] < LEAST_SHARE * total:
             break

@@ -95,6 +95,11 @@ class Objects:
             return None
         return self.drips.landed.take(self.drips.landed.kind == GROUND)
 
+    @property
+    def parted(self):
+        """The drips in the air, as `Drips.parted`."""
+        return () if self.drips is None else self.drips.parted
+
     def falling(self):
         """Return the drips in the air and their ids, as `SimState` holds them."""
         return () if self.drips is None else self.drips.falling()

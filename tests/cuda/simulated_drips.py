@@ -10,7 +10,7 @@ from rainsim.cuda.rain.drip_list import DripList
 from rainsim.drops import RainField, RainSpectrum, Surfaces
 from rainsim.particles.splash_pass import draw_splashes
 from rainsim.particles.streaks import draw_streaks
-from rainsim.rain.dripping import Drips, drip_impacts, drips_seen
+from rainsim.rain.dripping import KEPT, Drips, drip_impacts, drips_seen
 from rainsim.scene.types import Camera
 
 assert simulated()
@@ -71,3 +71,27 @@ def test_pictures_are_those_of_the_cpu(listed, poisoned):
     draw_splashes(*shutter, water, film, depth, wanted, more=landed)
     assert (wanted - without).max() > 0.02 and (wanted - without > 1e-4).sum() > 10
     np.testing.assert_allclose(twin.alpha.copy_to_host(), wanted, atol=1e-5)
+
+
+def test_list_that_follows_the_drips_holds_those_that_fall_or_have_just_landed():
+    """Each is sent once until there is no more room; those that landed long ago may stay."""
+    drips, there, sent = Drips(shelves(), seed=3), DripList(), 0
+    sends = there._ids.send
+    counts = []
+    there._ids.send = lambda ids, first=0: counts.append(len(ids)) or sends(ids, first)
+    for n in range(60):
+        drips.take_even_rain(RAIN if n < 45 else 0.0)
+        drips.advance(n * STEP, (n + 1) * STEP, WIND, ROUGHNESS)
+        there.follow(drips.parted)
+        table, ids = drips.falling()
+        rows = {int(i): tuple(row) for i, row in zip(ids, table, strict=True)}
+        listed = there._there
+        found = {int(i): tuple(listed.table[k]) for k, i in enumerate(listed.ids[: listed.count])}
+        assert rows.items() <= found.items() and listed.count == len(found)
+        ended = [row[6] for i, row in found.items() if i not in rows]
+        assert all(end < (n + 1) * STEP - KEPT for end in ended)
+        sent += sum(len(parted.ids) for parted in drips.parted[-1:])
+    assert sent > 100 and max(counts) < sent / 2
+    assert sum(counts) < 3 * sent
+    there.fill(table, ids)
+    assert there._there.count == len(ids)

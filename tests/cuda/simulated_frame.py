@@ -63,6 +63,9 @@ def test_frames_are_those_of_the_cpu(reflections, least):
     renderer.passes.work["splat"] = lambda camera, capture: (
         launches.append(1) or splat(camera, capture)
     )
+    mirrors, mirrored = renderer.passes._mirrors, []
+    draw = mirrors._draw
+    mirrors._draw = lambda k, *given: mirrored.append(k) or draw(k, *given)
     found = drawn(renderer, scene, camera, states)
     count = len(launches)
     for a, b in zip(found, wanted, strict=True):
@@ -73,10 +76,11 @@ def test_frames_are_those_of_the_cpu(reflections, least):
     assert (reach[:, 1] < reach[:, 2]).sum() == (2 if reflections == "auto" else 0)
     again = renderer.draw(camera, states[0])[0]
     np.testing.assert_array_equal(again, found[0])
-    assert len(launches) == count > 0  # a still camera's picture is kept
+    assert len(launches) == count > 0  # a still camera's picture is kept, and what it mirrors
+    assert mirrored == ([0, 1] if reflections == "auto" else [])
     again = renderer.draw(dataclasses.replace(camera), states[0])[0]
     np.testing.assert_array_equal(again, found[0])
-    assert len(launches) == count + 1
+    assert len(launches) == count + 1 and len(mirrored) == (4 if reflections == "auto" else 0)
     dry = dataclasses.replace(states[0], depth=np.zeros_like(states[0].depth))
     assert decibel(renderer.draw(camera, dry)[0], found[0]) < 40
 

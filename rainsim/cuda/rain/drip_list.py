@@ -14,7 +14,7 @@ from rainsim.io.states import DRIP_COLUMNS, NO_DRIPS, NO_IDS
 from rainsim.particles.splash import LONGEST_LIFE, Impact
 from rainsim.particles.splash_pass import list_splash, seen_at
 from rainsim.particles.streaks import Line, draw_line
-from rainsim.rain.dripping import drip_end, drip_line
+from rainsim.rain.dripping import drip_end, drip_line, listed
 
 # A row of `table`, float64: DRIP_COLUMNS.
 DRIP = len(DRIP_COLUMNS)
@@ -82,11 +82,31 @@ class DripList:
 
     def __init__(self):
         self._table, self._ids = SentRows((DRIP,), np.float64), SentRows((), np.uint64)
+        self._sent = ()  # what `follow` was given last
         self.fill(NO_DRIPS, NO_IDS)
 
     def fill(self, table, ids):
         """Copy a list of drips from the host to the device, as `SimState` has it."""
-        self._there = ListedDrips(len(ids), self._table.send(table), self._ids.send(ids))
+        self._count = 0
+        self._append(table, ids)
+
+    def follow(self, parted):
+        """Copy to the device those of a simulation's `PartedDrips` that are not there yet.
+
+        Those that have landed since stay, which kernels pass over, until there is no room for more.
+        """
+        sent = set(map(id, self._sent))
+        new = listed([each for each in parted if id(each) not in sent])
+        if not sent or self._count + len(new[1]) > len(self._table.array):
+            self.fill(*listed(parted))
+        elif len(new[1]):
+            self._append(*new)
+        self._sent = parted
+
+    def _append(self, table, ids):
+        places = self._table.send(table, self._count), self._ids.send(ids, self._count)
+        self._count += len(ids)
+        self._there = ListedDrips(self._count, *places)
 
     def draw(self, view, scene, picture):
         """Queue the drawing into the streaks' picture; see `draw_drips`."""

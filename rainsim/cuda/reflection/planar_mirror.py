@@ -11,6 +11,7 @@ from rainsim.cuda.shading.wet_pass import DeviceView
 from rainsim.numerics.mipmap import COARSEST, coarse_shape, mean_of_four, top_of
 from rainsim.reflection.mirror_choice import MOST_MIRRORS
 from rainsim.reflection.water_pass import mirror_window
+from rainsim.render.frame import is_same
 
 SQUARE_CELLS = 1 << (COARSEST - 1)  # of half the resolution in one of the coarsest
 
@@ -82,7 +83,7 @@ class Mirrors:
         self._views = [DeviceView() for _ in range(MOST_MIRRORS)]
         numbers = (cuda.device_array(shape, np.float32) for shape in ((MOST_MIRRORS, 3), 6, (3, 3)))
         self.arrays = MirrorArrays(*numbers, None, None, None)
-        self._shape = None
+        self._shape, self._shown = None, None
         self._allocate(1, 1)
 
     def _allocate(self, rows, columns):
@@ -91,7 +92,7 @@ class Mirrors:
             if rows <= self._shape[0] and columns <= self._shape[1]:
                 return
             rows, columns = max(rows, self._shape[0]), max(columns, self._shape[1])
-        self._shape, f4 = (rows, columns), np.float32
+        self._shape, f4, self._drawn = (rows, columns), np.float32, {}
         self.arrays = self.arrays._replace(picture=None, coarse=None, depth=None)
         self._clearance = None  # freed before more is asked for
         self.arrays = self.arrays._replace(
@@ -108,13 +109,17 @@ class Mirrors:
     def draw(self, seen, camera, scene, name, step):
         """Queue the mirrored pictures that water asks for; return their `MirrorArrays`; waits.
 
+        Those of the frame before stay where camera, scene and level are the same.
+
         seen : tuple. Hit and coverage, as `ray_water.meet_water` left them.
         camera : Camera. In the capture frame.
         scene : WetScene
         name : str. Of reflections.
         step : int. See `WetScene.mirrored`.
         """
-        levels = []
+        shows, levels = (camera, scene.changes), []
+        if not is_same(shows, self._shown):
+            self._shown, self._drawn = shows, {}
         if name != "ssr":
             levels, extent = self._levels.choose(*seen, self._tables.view, name)
         served = np.tile(np.float32([0, EVERYWHERE, -EVERYWHERE]), (MOST_MIRRORS, 1))
@@ -129,9 +134,11 @@ class Mirrors:
             rows, columns = ((window[k + 1] - window[k - 1]) // step for k in (2, 1))
             self._allocate(rows, columns)
         for k, (level, *_) in enumerate(levels):
-            self._draw(k, scene, *scene.capture.mirrored_layers(
-                camera, level, window, step, on_device=True
-            ))  # fmt: skip
+            place = level, window, step
+            if self._drawn.pop(k, None) != place:
+                layers = scene.capture.mirrored_layers(camera, *place, on_device=True)
+                self._draw(k, scene, *layers)
+            self._drawn[k] = place
         return self.arrays
 
     def _draw(self, k, scene, camera, layers):
