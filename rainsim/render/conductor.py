@@ -12,6 +12,7 @@ import numpy as np
 from rainsim.actors.footprint import with_footprints
 from rainsim.drops import Weather
 from rainsim.jit import may_run_beside
+from rainsim.numerics.blocks import beside
 from rainsim.particles import drop_radiance
 from rainsim.particles.splash import LONGEST_LIFE
 from rainsim.rain.exposure import rain_exposure
@@ -93,7 +94,10 @@ class Conductor:
         terrain = with_footprints(tops_drawn(terrain, config), scene)
         self.cars = cars_of(terrain.footprints, config.render)
         self._first_camera = calibration.fixed_camera(scene, terrain, config) or first_camera
+        film = WetGroundMirror(terrain, config.render)
+        slopes = beside(lambda: film.ground if film.apart else None)
         self.wet_scene = WetScene(scene, terrain, config, self._first_camera, rasterizer_of)
+        slopes()  # the film keeps them
         light = self.wet_scene.sky
         self._sun, note = sky.sun_of(config.render.sun, light.day)
         self.notes = [*self.wet_scene.notes, *([note] if note else [])]
@@ -101,7 +105,6 @@ class Conductor:
         self._everywhere = drop_radiance.mean_radiance(light.gloss)
         self.now, self.brightness = config.at(0.0), 1.0
         self._lit_for = self._sunlight = None  # the settings that brightness and sunlight are of
-        film = WetGroundMirror(terrain, config.render)
         self.ground = GroundTables(terrain, None, None, None, None, film)
         self.take_settings(config)
         self.camera = self.ground_camera = self.view = None

@@ -82,6 +82,8 @@ class WetScene:
             self._albedo, about_albedo = albedo_of_white(
                 terrain, self.scene, config.render.ground_albedo, gain
             )
+        dull = DULL_EXPOSURE * config.render.daylight
+        day = beside(day_sky, config.render, zenith_radiance(self._albedo, dull))
         views = views()
         diffuse = None if views is None else views.diffuse
         bad = badly_placed(self.scene, views)
@@ -123,9 +125,7 @@ class WetScene:
         self.capture.forget_whole()
         self.ground.stand(self.capture.actors)
         self.notes.append(about_albedo)
-        dull = DULL_EXPOSURE * config.render.daylight
-        day = day_sky(config.render, zenith_radiance(self._albedo, dull))
-        self.sky = SceneSky(backdrop, lines, config.render.sky in sky.PLAIN, day)
+        self.sky = SceneSky(backdrop, lines, config.render.sky in sky.PLAIN, day())
         self.shading, self._shades, self._now = None, 0, None
         self.set_time(config.at(0.0))
         place = config.render.surroundings
