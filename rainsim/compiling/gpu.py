@@ -46,22 +46,8 @@ def has_driver():
     return True
 
 
-def _driver(kind=ctypes.CDLL):
-    return kind("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
-
-
-def locked_call(name, *types):
-    """Return a function of the driver that keeps the interpreter's lock; None without a driver.
-
-    For calls of a few microseconds: a thread that takes the lock in between keeps it for
-    milliseconds. `types` are those of `ctypes` for its arguments.
-    """
-    try:
-        function = getattr(_driver(ctypes.PyDLL), name)
-    except OSError:
-        return None
-    function.argtypes = types
-    return function
+def _driver():
+    return ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
 
 
 def versions(capability):

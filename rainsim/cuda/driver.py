@@ -5,12 +5,10 @@ for those of a finished picture, see `Download`, and of rows that change each fr
 """
 
 import contextlib
-from ctypes import c_size_t, c_void_p
 from functools import partial
 
 import numpy as np
 
-from rainsim.compiling.gpu import locked_call
 from rainsim.cuda.jit import SIMULATED, cuda
 from rainsim.errors import BackendError
 
@@ -18,9 +16,6 @@ if SIMULATED:
     driver = None
 else:
     from cuda.bindings import driver
-
-    _copy_small = locked_call("cuMemcpyHtoD_v2", c_size_t, c_void_p, c_size_t)
-SMALL = 1 << 16  # bytes; so many the driver copies at once, and the host does not wait
 
 
 @contextlib.contextmanager
@@ -67,6 +62,7 @@ class Download:
 
     def __init__(self):
         self._pictures = [(np.zeros((0, 0, 3), np.uint8), cuda.event()) for _ in range(2)]
+        self._stream = 0 if SIMULATED else cuda.default_stream()
 
     def begin(self, image):
         """Queue the copy of a device array, uint8; return that on the host, and an event.
@@ -76,11 +72,7 @@ class Download:
         values, copied = self._pictures.pop(0)
         if values.shape != image.shape:
             values = cuda.pinned_array(image.shape, np.uint8)
-        if SIMULATED:
-            image.copy_to_host(values)
-        else:
-            data = values.ctypes.data
-            _check(driver.cuMemcpyDtoHAsync(data, _place(image), values.nbytes, 0))
+        image.copy_to_host(values, stream=self._stream)
         copied.record()
         self._pictures.append((values, copied))
         return values, copied
@@ -99,11 +91,7 @@ def send(array, values, window=None):
         return
     values = np.ascontiguousarray(values, array.dtype)
     if window is None:
-        place, data = _place(array), values.ctypes.data
-        if values.nbytes <= SMALL:
-            _check((driver.CUresult(_copy_small(place, data, values.nbytes)),))
-        else:
-            _check(driver.cuMemcpyHtoD(place, data, values.nbytes))
+        _check(driver.cuMemcpyHtoD(_place(array), values.ctypes.data, values.nbytes))
         return
     copy, (rows, columns) = driver.CUDA_MEMCPY2D(), window
     copy.srcMemoryType = driver.CUmemorytype.CU_MEMORYTYPE_HOST

@@ -7,13 +7,11 @@ arguments finds the machine code.
 
 import struct
 from array import array
-from ctypes import c_uint, c_void_p
 from functools import partial
 
 import numpy as np
+from cuda.bindings import driver
 from numba.cuda.cudadrv.devicearray import DeviceNDArray
-
-from rainsim.compiling.gpu import locked_call
 
 _MOST = 512  # numbers of a launch
 _PLACES = 8 * np.arange(_MOST, dtype=np.uint64)  # each number has eight bytes
@@ -22,7 +20,6 @@ _SCALARS = {
     np.float32: _single, np.float64: _double, float: _double, int: _whole, bool: _whole,
     np.int32: _whole, np.int64: _whole,
 }  # fmt: skip
-_launch_kernel = locked_call("cuLaunchKernel", c_void_p, *7 * (c_uint,), *3 * (c_void_p,))
 
 
 class LaunchedKernel:
@@ -53,7 +50,7 @@ class LaunchedKernel:
         packed = array("q", b"".join(numbers))
         places = _PLACES[: len(packed)] + np.uint64(packed.buffer_info()[0])
         pointers = places.__array_interface__["data"][0]
-        code = _launch_kernel(handle, *_three(grid), *_three(block), 0, 0, pointers, 0)
+        (code,) = driver.cuLaunchKernel(handle, *_three(grid), *_three(block), 0, 0, pointers, 0)
         if code:  # as where this thread has no context yet: numba makes one, or says what is wrong
             self.dispatcher[grid, block](*arguments)
 
