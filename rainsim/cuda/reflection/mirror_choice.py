@@ -92,13 +92,14 @@ class LevelChoice:
             hit, coverage, view, self._first_bin, counts
         )
         seen = fetch(counts)
-        count, extent, levels = seen[:BINS], tuple(seen[BINS:].tolist()), []
-        if not count.any():
+        filled, extent, levels = np.flatnonzero(seen[:BINS]), tuple(seen[BINS:].tolist()), []
+        if not len(filled):
             return levels, extent
+        count, lowest = seen[filled[0] : filled[-1] + 1], self._first_bin + int(filled[0])
         for first, middle in mirror_levels(count, MOST_MIRRORS if name == "auto" else 1):
-            low, high = (self._first_bin + first + k for k in (0, LEVEL_STEPS))
+            low, high = (lowest + first + k for k in (0, LEVEL_STEPS))
             served = (low * LEVEL_STEP, high * LEVEL_STEP)
             if name == "mirror":
                 served = -EVERYWHERE, EVERYWHERE
-            levels.append(((self._first_bin + middle + 0.5) * LEVEL_STEP, *served))
+            levels.append(((lowest + middle + 0.5) * LEVEL_STEP, *served))
         return levels, extent
