@@ -205,7 +205,7 @@ def _number_of(views):
 
 
 def _plan(job, cameras, lens, rates, layout, rig=None):
-    from rainsim.datasets.export import safe_names
+    from rainsim.datasets.export import check_lenses, safe_names
     from rainsim.datasets.points import points_of
     from rainsim.datasets.sample import Plan, View
     from rainsim.datasets.splits import check_hold_out, held_out, split_note, usual_hold_out
@@ -232,6 +232,7 @@ def _plan(job, cameras, lens, rates, layout, rig=None):
     else:
         named = zip(safe_names(cameras), cameras, strict=True)
         views = [View(k, name, camera, lens) for k, (name, camera) in enumerate(named)]
+    check_lenses(views, layout)
     views = held_out(views, every)
     job.status.notes([split_note(views, layout)])
     partners = ("clear_air", "dry") if given["partners"] else ()

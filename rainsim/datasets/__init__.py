@@ -6,4 +6,5 @@ LAYOUTS = (  # modules of this room
 )  # fmt: skip
 RIGGED = "nerfstudio", "colmap", "kitti", "kitti_object", "semantic_kitti"  # hold rigs
 ONE_LENS = "nerfstudio"  # has one camera model for all views
+OPENCV_LENSES = "nerfstudio", "replicator"  # whose camera models are OpenCV's alone
 SCANNED = "kitti_object", "semantic_kitti"  # layouts that have clouds of a lidar

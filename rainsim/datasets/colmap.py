@@ -85,6 +85,8 @@ def model_of(view):
         return "PINHOLE", pinhole
     if lens.model == "fisheye":
         return "OPENCV_FISHEYE", (*pinhole, *lens.values)
+    if lens.model in ("division", "eucm"):
+        return lens.model.upper(), (*pinhole, *lens.values)
     if len(lens.values) == 4 or lens.values[4] == 0:
         return "OPENCV", (*pinhole, *lens.values[:4])
     return "FULL_OPENCV", (*pinhole, *lens.values, 0.0, 0.0, 0.0)

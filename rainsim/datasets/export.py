@@ -8,7 +8,7 @@ from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
-from rainsim.datasets import LAYOUTS, beside
+from rainsim.datasets import LAYOUTS, OPENCV_LENSES, beside
 from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.data_files import TEXT, DataFile, write_file, write_files
 from rainsim.datasets.sample import Cloud
@@ -28,6 +28,17 @@ def layout_of(name):
     if name not in LAYOUTS:
         raise ParameterError(f"layout is {name!r}; it must be one of {', '.join(LAYOUTS)}")
     return importlib.import_module(f"rainsim.datasets.{name}")
+
+
+def check_lenses(views, layout):
+    """Raise ParameterError unless a layout has a name for the lenses of views."""
+    for view in views:
+        if view.lens is not None and view.lens.model in ("division", "eucm"):
+            if layout in OPENCV_LENSES:
+                raise ParameterError(
+                    f"the lens is {view.lens}; in the layout {layout} it must be opencv or "
+                    "fisheye; give that, or take --layout colmap"
+                )
 
 
 def _is_ours(name):

@@ -23,7 +23,7 @@ from rainsim.datasets import (
 )
 from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.data_files import PNG48, DataFile, condition, write_file
-from rainsim.datasets.export import layout_of, safe_names
+from rainsim.datasets.export import check_lenses, layout_of, safe_names
 from rainsim.datasets.points import ply_bytes, points_of
 from rainsim.datasets.reading import read_points, read_views
 from rainsim.datasets.sample import Plan, Sample, View, depth_mm, keep_mask, kitti_depth, kitti_flow
@@ -36,6 +36,7 @@ from rainsim.render.shutter import moved
 from rainsim.scene.colmap import read_model
 from rainsim.scene.types import Camera
 from rainsim.sensors.lens import Lens
+from rainsim.sensors.lens_files import lens_named
 from scenes import tiny_scene
 
 CAMERA = Camera(40, 30, 35.0, 36.0, 19.0, 16.0, np.eye(4), "a.jpg")
@@ -270,7 +271,8 @@ def write_colmap(folder, plan):
 
 
 LENSES = [None, Lens("opencv", (0.1, 0.02, 0.001, -0.002)), Lens("opencv", (0.1, 0, 0, 0, 0.3)),
-          Lens("fisheye", (0.1, 0.02, 0.001, -0.002))]  # fmt: skip
+          Lens("fisheye", (0.1, 0.02, 0.001, -0.002)), Lens("division", (-0.2,)),
+          Lens("eucm", (0.6, 1.1))]  # fmt: skip
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: "none" if lens is None else lens.model)
@@ -278,10 +280,21 @@ def test_colmap_as_our_reader_reads_it(tmp_path, lens):
     plan = plan_with(lens)
     cameras, notes = read_model(write_colmap(tmp_path, plan))
     assert len(notes) == (lens is not None)
+    found = lens_named(str(tmp_path / "rain/10mm"))
+    assert found == lens or len(lens.values) == 5  # FULL_OPENCV names no k3 alone
     for camera, view in zip(cameras, plan.views, strict=True):
         assert camera.name == view.name and (camera.cx, camera.fy) == (19, 36)
         np.testing.assert_allclose(camera.camera_from_world, view.camera.camera_from_world,
                                    atol=1e-12)  # fmt: skip
+
+
+@pytest.mark.parametrize("layout", ["nerfstudio", "replicator"])
+def test_lenses_that_a_layout_has_no_name_for_are_refused(layout):
+    for lens in LENSES[-2:]:
+        with pytest.raises(ParameterError, match=f"{layout} it must be opencv or fisheye; give"):
+            check_lenses(plan_with(lens).views, layout)
+        check_lenses(plan_with(lens).views, "colmap")
+    check_lenses(plan_with(LENSES[1]).views, layout)
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: "none" if lens is None else lens.model)
