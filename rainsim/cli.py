@@ -24,6 +24,7 @@ from rainsim.commands import (
 )
 from rainsim.commands.status import interrupts_remembered
 from rainsim.errors import ParameterError, RainsimError, one_line
+from rainsim.io.allocator import share_heaps
 
 _FULL = "; make room there or give another --out, and run it again"
 _CLOSED = "; give another --out, or change the permissions"
@@ -121,5 +122,6 @@ for _command in (
 
 def main():
     """Run the command line; the entry of `rainsim` and of `python -m rainsim`."""
+    share_heaps()
     atexit.register(gc.freeze)  # else Python looks through all objects again before it ends
     cli(prog_name="rainsim")

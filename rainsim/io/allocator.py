@@ -1,19 +1,27 @@
-"""How the C library keeps freed memory: large blocks go back to the system at once.
+"""How the C library keeps freed memory: in few heaps, large blocks of big captures in none.
 
-The allocator of glibc serves blocks below a threshold from a heap, which shrinks from its end only,
-and raises the threshold to the size of what was freed, up to 32 MB. Where arrays of megabytes come
-and go in another order, as the pages of a big capture do, the heap then keeps what lies between
-those in use: 0.4 of 2.0 GB on a kilometre of street.
+The allocator of glibc begins a heap for each new thread. Each keeps what lies between blocks in
+use, and none is ever returned: 1.43 in place of 1.56 GB for a first picture of half a million
+splats. It serves blocks below a threshold from a heap, which shrinks from its end only, and raises
+the threshold to the size of what was freed, up to 32 MB. Where arrays of megabytes come and go in
+another order, as the pages of a big capture do, the heap then keeps what lies between those in use:
+0.4 of 2.0 GB on a kilometre of street.
 """
 
 import contextlib
 import ctypes
 import os
 
-VARIABLES = "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES"  # by which a user chooses another threshold
+# By which a user chooses otherwise.
+VARIABLES = "MALLOC_ARENA_MAX", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES"
 MMAP_THRESHOLD, MOST_HEAPS = -3, -8  # numbers of the parameters in glibc's malloc.h
-HEAPS = 2  # of all threads; without a limit each new thread may begin one, which is never returned
+HEAPS = 2  # of all threads
 LARGE = 128 * 1024  # bytes, the value that glibc begins with; once set it no longer rises
+
+
+def share_heaps():
+    """Let all threads share HEAPS heaps; as `return_large_blocks`."""
+    return _set(MOST_HEAPS, HEAPS)
 
 
 def return_large_blocks():
@@ -22,11 +30,14 @@ def return_large_blocks():
     Return whether the C library took the setting; not so where there is no glibc, or where a
     variable of VARIABLES is set.
     """
+    return share_heaps() and _set(MMAP_THRESHOLD, LARGE)
+
+
+def _set(parameter, value):
     if any(name in os.environ for name in VARIABLES):
         return False
     try:
-        library = ctypes.CDLL(None)
-        return library.mallopt(MMAP_THRESHOLD, LARGE) == library.mallopt(MOST_HEAPS, HEAPS) == 1
+        return ctypes.CDLL(None).mallopt(parameter, value) == 1
     except (AttributeError, OSError, TypeError):  # another C library, or a system without one
         return False
 

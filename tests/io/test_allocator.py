@@ -1,4 +1,4 @@
-"""Freed arrays go back to the system where big captures are drawn."""
+"""Freed arrays go back to the system where big captures are drawn; threads share heaps."""
 
 import platform
 import subprocess
@@ -44,6 +44,40 @@ def test_freed_arrays_leave_the_process(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     assert left_over("set") < 40e6
     assert left_over("not") > 150e6  # so the setting is what does it
+
+
+THREADS = """
+import sys, threading
+from rainsim.io import allocator
+
+if sys.argv[1] == "set":
+    assert allocator.share_heaps()
+together = threading.Barrier(8)
+
+def work():
+    together.wait()
+    kept.append([bytearray(600) for _ in range(2000)])
+    together.wait()
+
+kept = []
+threads = [threading.Thread(target=work) for _ in range(8)]
+[thread.start() for thread in threads], [thread.join() for thread in threads]
+with open("/proc/self/maps", encoding="ascii") as lines:  # a heap reserves 64 MB
+    ends = [[int(n, 16) for n in line.split()[0].split("-")] for line in lines]
+print(sum((end - begin) % 2**26 != 0 and end % 2**26 == 0 for begin, end in ends))
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the setting is glibc's")
+def test_threads_share_heaps(monkeypatch):
+    for name in allocator.VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    heaps = [
+        int(subprocess.run([sys.executable, "-c", THREADS, how], capture_output=True, text=True,
+                           check=True).stdout)
+        for how in ("set", "not")
+    ]  # fmt: skip
+    assert heaps[0] <= allocator.HEAPS < 6 <= heaps[1]
 
 
 def test_a_users_own_setting_stays(monkeypatch):
