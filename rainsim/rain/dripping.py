@@ -9,7 +9,6 @@ import numpy as np
 from scipy import sparse
 
 from rainsim.constants import GRAVITY
-from rainsim.io import cache
 from rainsim.io.states import DRIP_COLUMNS, NO_DRIPS, NO_IDS
 from rainsim.jit import device_function
 from rainsim.numerics.random import mix, subkey, uniform
@@ -25,7 +24,6 @@ SMALLEST, LARGEST = 4.0e-3, 5.2e-3  # m, of drops that part from an edge
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))  # rows and columns from a cell
 GATHERING = 0.1  # m: drops leave at one point of an edge of this length
 CLIMB = 200.0  # m of detour along the object that a metre of climb is worth
-LEAST_KEPT = 1 << 18  # cells of a map whose drip points are kept; a smaller one takes .1 s
 KEPT = 0.45  # s that landed drops are remembered for their splashes
 _MOST_AT_ONCE = 64  # drops from one point in one step; more is a jet
 END = DRIP_COLUMNS.index("end")
@@ -46,7 +44,7 @@ class Drips:
 
     def __init__(self, surfaces, seed=0, wet=True):
         self._surfaces = surfaces
-        self.point, edge, foot = _kept_catchments(surfaces)
+        self.point, edge, foot = _catchments(surfaces)
         spacing = surfaces.spacing
         count = len(edge)
         key = mix(np.array([seed % 2**64], np.uint64) ^ np.uint64(0xD21B))
@@ -257,18 +255,6 @@ def drip_impacts(table, ids, surfaces, before, after):
 def solid_cells(surfaces):
     """Return the mask of the cells that have an object above the ground, (ny, nx)."""
     return np.subtract(surfaces.top, surfaces.ground, dtype=np.float64) > LOWEST
-
-
-def _kept_catchments(surfaces):
-    """Return the result of `_catchments`; that of a large map is kept for the next run."""
-    if surfaces.top.size < LEAST_KEPT:
-        return _catchments(surfaces)
-    found = cache.kept_arrays(
-        "catchments",
-        lambda: dict(zip(("point", "edge", "foot"), _catchments(surfaces), strict=True)),
-        surfaces.ground, surfaces.top, surfaces.spacing,
-    )  # fmt: skip
-    return found["point"], found["edge"], found["foot"]
 
 
 def _catchments(surfaces):

@@ -69,7 +69,6 @@ class Surfaces:
     ground: np.ndarray
     top: np.ndarray
     underside: np.ndarray
-    block_low: np.ndarray = field(init=False, repr=False)
     patch_high: np.ndarray = field(init=False, repr=False)
     around_low: np.ndarray = field(init=False, repr=False)
     around_high: np.ndarray = field(init=False, repr=False)
@@ -91,9 +90,8 @@ class Surfaces:
             put(self, name, heights)
         if not (self.top >= self.ground).all():  # else the array that was given will do
             put(self, "top", np.maximum(self.top, self.ground))
-        put(self, "block_low", reduce_blocks(np.minimum, self.ground))
         put(self, "patch_high", reduce_blocks(np.maximum, self.top, PATCH))
-        put(self, "around_low", grow_blocks(np.minimum, self.block_low))
+        put(self, "around_low", grow_blocks(np.minimum, reduce_blocks(np.minimum, self.ground)))
         put(self, "around_high", grow_blocks(np.maximum, reduce_blocks(np.maximum, self.top)))
         put(self, "sky", float(self.patch_high.max()) + _CLEARANCE)
         put(self, "changes", [])

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
 from rainsim.numerics.blocks import in_blocks
+from rainsim.numerics.places import group_means, groups_of
 from rainsim.surface.views import DepthView
 from rainsim.surface.walls import to_walls
 
@@ -112,10 +113,8 @@ def evened(position, plain, towards, size, weight, views):
 def _to_planes(position, weight, cell, wide):
     """Return places moved to planes of the splats `wide` [m] around, and where they are layers."""
     place = np.floor(position / cell).astype(np.int64)
-    group = np.unique(place, axis=0, return_inverse=True)[1].ravel()
-    total = np.bincount(group, weight)
-    node = np.stack([np.bincount(group, weight * position[:, k]) for k in range(3)], -1)
-    node /= total[:, None]
+    group = groups_of(place, 0)
+    total, node = np.bincount(group, weight), group_means(group, position, weight)
     tree, k = cKDTree(node), min(NODES, len(node))
     result, even = position.copy(), np.zeros(len(position), bool)
 
@@ -149,21 +148,13 @@ def thinned(surface):
     key -= key.min(axis=1, keepdims=True, initial=0)
     key = np.ravel_multi_index(tuple(key), tuple(key.max(axis=1, initial=0) + 1))
     group = np.unique(key, return_inverse=True)[1]
-    weight = surface.views.astype(np.float64)
-    total = np.bincount(group, weight)
-
-    def mean(values):
-        sums = [np.bincount(group, weight * v) for v in np.atleast_2d(values.T)]
-        return (np.stack(sums, -1) / total[:, None]).astype(np.float32)
-
-    normal = mean(surface.normal)
+    means = group_means(group, np.column_stack(surface[:5]), surface.views.astype(np.float64))
+    means = np.split(means.astype(np.float32), [3, 6, 7, 10], axis=1)
+    position, normal, flat, light, size = map(np.ascontiguousarray, means)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-    views = np.zeros(len(total), np.uint8)
+    views = np.zeros(len(size), np.uint8)
     np.maximum.at(views, group, surface.views)
-    return CaptureSurface(
-        mean(surface.position), normal, mean(surface.flat)[:, 0], mean(surface.light),
-        mean(surface.size)[:, 0], views,
-    )  # fmt: skip
+    return CaptureSurface(position, normal, flat[:, 0], light, size[:, 0], views)
 
 
 def counted(position, size, views):

@@ -10,9 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim import raster
 from rainsim.errors import counted
-from rainsim.scene.types import Camera, pose_at
+from rainsim.terrain.pictures import seen_straight
 from rainsim.terrain.types import NO_TOPS, Grid, Tops
 
 LOWEST, HIGHEST = 0.3, 1.5  # m over the bed: lower things are wetted as ground
@@ -248,16 +247,10 @@ def seen_from_above(tops, k, grid, scene):
     if not near.any():
         return blank, blank, blank
     splats = replace(scene.splats, sh=scene.splats.sh[:, :1]).take(near)
-    eye = (grid.origin[0], grid.origin[1] + grid.size[1], float(tops.surface[k, 0]) + 1.0)
-    axes = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])  # pictures begin in the north
-    scale, pose = 1 / grid.spacing, pose_at(axes, eye)
-    camera = Camera(*grid.shape[::-1], scale, scale, 0.0, 0.0, pose, orthographic=True)
-    seen = raster.rasterize(raster.prepare(splats), frame.camera_in_capture(camera), near=0.0)
-    with np.errstate(invalid="ignore"):
-        height = eye[2] - seen.plane_depth * frame.meters_per_unit
+    seen = seen_straight(splats, frame, grid, float(tops.surface[k, 0]) + 1.0, plane=True)
     light = seen.color.mean(axis=-1) / np.maximum(seen.alpha, 0.3)
-    known = np.isfinite(height)
-    return np.where(known, height, 0)[::-1], np.where(known, seen.alpha, 0)[::-1], light[::-1]
+    known = np.isfinite(seen.height)
+    return np.where(known, seen.height, 0), np.where(known, seen.alpha, 0), light
 
 
 def gaps_in(light, alpha, spacing):

@@ -11,6 +11,11 @@ SAMPLE = 2_000_000  # cells, about, of a large map that a median is taken of
 GAP_HEIGHT = 0.15  # m between ground and underside that rain can be blown into
 
 
+MAPS = "bed", "top", "underside", "source", "ground_class", "noise", "color"
+SOME = "water", "standing", "poured", "layer"  # maps that not all terrains have
+TOPS = "tops_"  # begins the names of the arrays of `Tops` in files
+
+
 @dataclass(frozen=True)
 class Grid:
     """A raster on the ground: cell (j, i) spans spacing x spacing m, row 0 in the south (least y).
@@ -183,6 +188,30 @@ class Terrain:
         """Fill in a map of zeros if no water was painted."""
         if self.water is None:
             object.__setattr__(self, "water", np.zeros(self.grid.shape, np.float32))
+
+    def arrays(self):
+        """Return the terrain as arrays by name, for files; see `from_arrays`."""
+        found = {name: getattr(self, name) for name in MAPS}
+        found |= {name: values for name in SOME if np.any(values := getattr(self, name))}
+        found |= {TOPS + name: values for name, values in self.tops.arrays().items()}
+        return found | {
+            "origin": np.array(self.grid.origin, np.float64),
+            "spacing": np.float64(self.grid.spacing),
+            "notes": np.array(self.notes, dtype=np.str_),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays):
+        """Return the terrain that `arrays` gave, without footprints."""
+        grid = Grid(
+            arrays["bed"].shape,
+            tuple(arrays["origin"].tolist()),
+            np.asarray(arrays["spacing"]).item(),
+        )
+        maps = {name: arrays[name] for name in (*MAPS, *SOME) if name in arrays}
+        tops = {n.removeprefix(TOPS): a for n, a in arrays.items() if n.startswith(TOPS)}
+        tops = Tops.from_arrays(tops) if tops else NO_TOPS
+        return cls(grid, **maps, notes=tuple(np.asarray(arrays["notes"]).tolist()), tops=tops)
 
     @property
     def cells(self):
