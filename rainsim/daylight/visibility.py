@@ -260,14 +260,3 @@ def add_light(
                 )
                 for r in range(radiance.shape[1]):
                     light_out[i, r] += facing * seen * radiance[k, r]
-
-
-@cpu_kernel
-def add_sides(heights, axes, window: Window, position, normal, margin, light_out):
-    """Add the light of an even sky from some directions to both sides of each place, (n, 2)."""
-    for i in prange(len(position)):
-        for k in range(len(axes)):
-            a = axes[k, 2]
-            cosine = a[0] * normal[i, 0] + a[1] * normal[i, 1] + a[2] * normal[i, 2]
-            seen = seen_share(heights[k], axes[k], window, position[i], normal[i], ONE, margin)
-            light_out[i, 0 if cosine > ZERO else 1] += abs(cosine) * seen

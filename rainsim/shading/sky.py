@@ -73,13 +73,9 @@ def clouded(environment):
     row, column = np.indices((CLOUD_ROWS, 2 * CLOUD_ROWS)) / CLOUD_ROWS
     scale = environment.shape[0]
     where = [row * scale - 0.5, column * environment.shape[1] / 2 - 0.5]
-    even = np.stack(
-        [
-            ndimage.map_coordinates(environment[..., c], where, order=1, mode="nearest")
-            for c in range(3)
-        ],
-        axis=-1,
-    )
+    even = [ndimage.map_coordinates(c, where, order=1, mode="nearest")
+            for c in np.moveaxis(environment, 2, 0)]  # fmt: skip
+    even = np.stack(even, axis=-1)
     made = even * np.exp(CLOUD_DEPTH * _bellies())[..., None]
     made *= irradiance(environment)[1] / irradiance(made)[1]
     return np.ascontiguousarray(made, dtype=np.float32)
@@ -214,17 +210,12 @@ def from_panorama(panorama, brightness=1.0):
     """
     high = min(max(panorama.shape[0], ROWS), PANORAMA_ROWS)
     wide = 2 * high
+    for axis, least in enumerate((high, wide)):  # a small one is enlarged first
+        panorama = np.repeat(panorama, -(-least // panorama.shape[axis]), axis)
     rows = np.linspace(0, panorama.shape[0], high + 1).astype(int)
     columns = np.linspace(0, panorama.shape[1], wide + 1).astype(int)
-    if panorama.shape[0] >= high and panorama.shape[1] >= wide:
-        total = np.add.reduceat(np.add.reduceat(panorama, rows[:-1], axis=0), columns[:-1], axis=1)
-        area = np.diff(rows)[:, None] * np.diff(columns)[None, :]
-        scaled = total / area[..., None]
-    else:
-        row = np.minimum((np.arange(high) + 0.5) / high * panorama.shape[0], panorama.shape[0] - 1)
-        column = (np.arange(wide) + 0.5) / wide * panorama.shape[1]
-        column = np.minimum(column, panorama.shape[1] - 1)
-        scaled = panorama[row.astype(int)][:, column.astype(int)]
+    total = np.add.reduceat(np.add.reduceat(panorama, rows[:-1], axis=0), columns[:-1], axis=1)
+    scaled = total / (np.diff(rows)[:, None] * np.diff(columns))[..., None]
     wanted = irradiance(overcast(brightness))[1]
     present = max(irradiance(scaled)[1], 1e-6)
     return np.ascontiguousarray(scaled * (wanted / present), dtype=np.float32)

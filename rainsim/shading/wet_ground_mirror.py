@@ -78,11 +78,8 @@ NO_LEVEL_PICTURE = LevelPicture(
 def standing(prepared, terrain, frame):
     """Return the leading splats of things that stand on the ground, with harmonics to degree 1."""
     place = frame.to_ground(prepared.position.astype(np.float64))
-    (x0, y0), cell = terrain.grid.origin, terrain.grid.spacing
-    column, row = np.floor((place[:, 0] - x0) / cell), np.floor((place[:, 1] - y0) / cell)
-    ny, nx = terrain.bed.shape
-    inside = (column >= 0) & (row >= 0) & (column < nx) & (row < ny)
-    column, row = (np.where(inside, a, 0).astype(np.int64) for a in (column, row))
+    with np.errstate(invalid="ignore"):  # what is no number lies nowhere
+        row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
     least = np.where(inside, terrain.bed[row, column] + STANDING, STANDING_OUTSIDE)
     return select(_coarse(prepared), (place[:, 2] > least) & prepared.is_leading)
 

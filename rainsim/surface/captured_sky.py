@@ -108,21 +108,16 @@ class SkyColors:
         grey = _is_grey(self.color.reshape(-1, 3))
         return parts, [part > 0 for part in parts] if grey else near
 
-    def _alike(self, view, exposure):
-        """Return which pixels have the sky's colour, by how much more, and their sine of height."""
-        direction = directions(view)
-        more = self._more(view.light, direction, exposure)
-        near = (np.abs(more).max(axis=-1) < SAME) & (direction[..., 2] > LOWEST)
-        return ndimage.median_filter(near, 3), more, direction[..., 2]
-
     def _parts(self, view, exposure):
         """Return what the pixels of a view show, region by region, and which have the sky's colour.
 
         A region of the sky has the sky's colour, or is a cloud, and goes on past the edge of the
         picture where it is highest. A pane, a pale roof or a white house ends below that.
         """
-        near, more, high = self._alike(view, exposure)
+        direction = directions(view)
+        more, high = self._more(view.light, direction, exposure), direction[..., 2]
         off = np.abs(more).max(axis=-1)
+        near = ndimage.median_filter((off < SAME) & (high > LOWEST), 3)
         cloud = ~near & (more.min(axis=-1) > -SAME) & (high > LOWEST)
         sky = near | _clouds(cloud, near, high)
         label, count = ndimage.label(sky)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
+from rainsim.jit import cpu_kernel, prange, serial_kernel
 from rainsim.numerics.blocks import in_blocks
 from rainsim.numerics.places import group_means, groups_of
 from rainsim.surface.views import DepthView
@@ -38,7 +38,6 @@ BARELY_PLAIN = 0.15  # of places that are moved to a wall beside them
 ROBUST, FARTHEST = 0.2, 1.5
 EVEN = 0.15  # of the variance along a plane, that across it may be
 KEY_BITS = 19  # of a voxel's place along each axis
-SWEEPS = 6  # of rotations, after which nothing is left beside a diagonal of float64
 
 
 class CaptureSurface(NamedTuple):
@@ -324,7 +323,21 @@ def planes(position, towards, size, plain):
         part = order[part]
         away, near = tree.query(position[part], k=k)
         nearest[part] = near[:, :AROUND]
-        fit_planes(part, away, near, position, towards, size, plain, normal, flat, smooth)
+        side, here = size[part], position[part].astype(np.float64)
+        weight = np.exp(-0.5 * (away / (2 * side[:, None])) ** 2)
+        weight /= weight.sum(axis=1, keepdims=True)
+        off = position[near].astype(np.float64)
+        mean = (weight[:, None] @ off)[:, 0]
+        off -= mean[:, None]
+        value, axes = np.linalg.eigh((weight[..., None] * off).transpose(0, 2, 1) @ off)
+        thick, wide = 2 * np.sqrt(np.maximum(value[:, :2], 0)).T / side
+        up = axes[:, :, 0]
+        even = np.clip(2 - thick / (ROUND + (PLAIN_ROUND - ROUND) * plain[part]), 0, 1)
+        even *= np.minimum(wide, 1)
+        facing, lift = ((up * v).sum(axis=1) for v in (towards[part], mean - here))
+        normal[part] = np.where(facing < 0, -1, 1)[:, None] * up
+        smooth[part] = here + (even * lift)[:, None] * up
+        flat[part] = even
 
     def typical(part):
         middle[part] = np.median(flat[nearest[part]], axis=1)
@@ -333,72 +346,3 @@ def planes(position, towards, size, plain):
     middle = np.empty_like(flat)
     in_blocks(typical, count)
     return normal, middle, smooth
-
-
-@serial_kernel
-def fit_planes(part, away, near, position, towards, size, plain, normal_out, flat_out, smooth_out):
-    """Fit planes to the surroundings of some places of `planes`, whose outputs these are.
-
-    away, near : arrays (m, k). Distances [m] and numbers of the places next to
-        each of `part`, (m,).
-    """
-    mean, off, weight = np.empty(3), np.empty(3), np.empty(near.shape[1])
-    spread, axes = np.empty((3, 3)), np.empty((3, 3))
-    for m in range(len(part)):
-        n = part[m]
-        mean[:], spread[:] = 0, 0
-        for k in range(len(weight)):
-            weight[k] = math.exp(-0.5 * (away[m, k] / (2 * size[n])) ** 2)
-            for i in range(3):
-                mean[i] += weight[k] * position[near[m, k], i]
-        mean /= weight.sum()
-        for k in range(len(weight)):
-            for i in range(3):
-                off[i] = position[near[m, k], i] - mean[i]
-            for i in range(3):
-                for j in range(3):
-                    spread[i, j] += weight[k] * off[i] * off[j]
-        spread /= weight.sum()
-        diagonalize(spread, axes)
-        first = 0
-        for i in range(1, 3):
-            first = i if spread[i, i] < spread[first, first] else first
-        second = min(spread[(first + 1) % 3, (first + 1) % 3], spread[first - 1, first - 1])
-        up, facing, lift = axes[:, first], 0.0, 0.0
-        for i in range(3):
-            facing += up[i] * towards[n, i]
-            lift += up[i] * (mean[i] - position[n, i])
-        limit = ROUND + (PLAIN_ROUND - ROUND) * plain[n]
-        even = min(max(2 - 2 * math.sqrt(max(spread[first, first], 0)) / size[n] / limit, 0), 1)
-        even *= min(2 * math.sqrt(max(second, 0)) / size[n], 1)
-        for i in range(3):
-            normal_out[n, i] = -up[i] if facing < 0 else up[i]
-            smooth_out[n, i] = position[n, i] + np.float32(even * lift * up[i])
-        flat_out[n] = even
-
-
-@device_function
-def diagonalize(matrix, axes_out):
-    """Turn a symmetric matrix (3, 3) into its diagonal form in place, by Jacobi's rotations.
-
-    The columns of `axes_out` are then the eigenvectors.
-    """
-    for i in range(3):
-        for j in range(3):
-            axes_out[i, j] = 1.0 if i == j else 0.0
-    for turn in range(3 * SWEEPS):
-        p, q = turn % 3, (turn + 1) % 3
-        if matrix[p, q] == 0:
-            continue
-        slope = (matrix[q, q] - matrix[p, p]) / (2 * matrix[p, q])
-        tangent = math.copysign(1 / (abs(slope) + math.sqrt(slope * slope + 1)), slope)
-        cosine = 1 / math.sqrt(tangent * tangent + 1)
-        sine = tangent * cosine
-        for k in range(3):
-            x, y = matrix[k, p], matrix[k, q]
-            matrix[k, p], matrix[k, q] = cosine * x - sine * y, sine * x + cosine * y
-            x, y = axes_out[k, p], axes_out[k, q]
-            axes_out[k, p], axes_out[k, q] = cosine * x - sine * y, sine * x + cosine * y
-        for k in range(3):
-            x, y = matrix[p, k], matrix[q, k]
-            matrix[p, k], matrix[q, k] = cosine * x - sine * y, sine * x + cosine * y

@@ -175,11 +175,6 @@ def _solid(position, near, splats, good, views, frame, surface):
     return np.column_stack([position[which], packed, reach]).astype(np.float32)
 
 
-def _directions(position, middle):
-    away = position - middle
-    return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
-
-
 def _alone(near, surface):
     """Return which splats are away from every place of the surface, bool (n,)."""
     away, place = near
@@ -294,7 +289,7 @@ def _sky_splats(scene, views, colors, position, alone, middle, light, lit, veile
     land, sky, rim, before_sky = light.T
     seen = land + sky + rim
     with np.errstate(invalid="ignore"):  # 0 / 0 of those that no camera sees, and absurd splats
-        direction = _directions(position, middle)
+        direction = _unit(position - middle)
         color = linear(scene.splats.sh[:, 0] * np.float32(SH_0) + np.float32(0.5))
         behind = np.exp(colors.at(direction)) @ LUMINANCE_WEIGHTS
         bright = color @ LUMINANCE_WEIGHTS > BRIGHT * behind

@@ -109,18 +109,6 @@ def blue_over_wall(height=60, width=80):
     return light
 
 
-def test_small_matrices_are_made_diagonal():
-    rng, axes = np.random.default_rng(2), np.full((3, 3), np.nan)
-    parts = rng.standard_normal((20, 3, 3)) * 10.0 ** -np.arange(20)[:, None, None]
-    for full in [*(parts @ parts.transpose(0, 2, 1)), np.zeros((3, 3)), np.eye(3), np.ones((3, 3))]:
-        values = full.copy()
-        fuse.diagonalize(values, axes)
-        scale = np.abs(full).max()
-        assert np.allclose(axes @ np.diag(np.diag(values)) @ axes.T, full, 0, 1e-13 * scale)
-        assert np.allclose(axes.T @ axes, np.eye(3), 0, 1e-13)
-        assert np.allclose(np.sort(np.diag(values)), np.linalg.eigvalsh(full), 0, 1e-13 * scale)
-
-
 def test_the_sky_is_found_by_its_colour_and_a_wall_is_not_sky():
     pictures = [view_of(blue_over_wall(), 0.45 + 0.02 * k) for k in range(4)]
     colors = captured_sky.SkyColors(pictures)
