@@ -30,7 +30,9 @@ NEIGHBOURS = 20  # places about one that its plane is fitted to
 # where none does.
 ROUND, PLAIN_ROUND = 0.45, 1.0
 AROUND = 9  # of them, of whose flatness the median is taken
-SUMS = 11  # of a voxel, see `_Voxels`
+# Of a voxel: samples, and sums over them: place from the middle [m], colour, direction to the
+# camera, how plain the picture is there.
+SUMS = 11
 # Of plain parts: cells that are taken together, and the deviation of the weights of those about a
 # place, both in m; how many of them; off a plane, over that deviation: half their weight; farthest.
 SCALES, NODES = ((0.24, 0.7), (0.12, 0.3)), 32
@@ -58,13 +60,19 @@ def fused(views, middle, radius):
     twice that where pixels are about as wide.
     """
     middle = np.asarray(middle, np.float32)
-    voxels = _Voxels(VOXEL if pixel_of(views) < COARSE * VOXEL else 2 * VOXEL)
+    voxel = VOXEL if pixel_of(views) < COARSE * VOXEL else 2 * VOXEL
+    count, most = 0, sum(view.depth.size for view in views)
+    # What is not written to takes no memory. The table always has an empty place.
+    keys, sums = np.empty(most, np.int64), np.zeros((most, SUMS))
+    table = np.full(1 << most.bit_length(), -1, np.int32)
     for view in views:
-        voxels.add(view, middle, np.float32(radius))
-    sums = voxels.sums
+        count = add_view(
+            view, middle, np.float32(radius), np.float32(voxel), count, table, keys, sums
+        )
+    keys, sums = keys[:count], sums[:count]
     number = np.maximum(sums[:, 0], 1)[:, None]
     position = np.ascontiguousarray(sums[:, 1:4] / number + middle, np.float32)
-    size = voxels.side * 2.0 ** (voxels.keys >> 3 * KEY_BITS)
+    size = voxel * 2.0 ** (keys >> 3 * KEY_BITS)
     found = counted(position, size.astype(np.float32), views)
     least = LEAST_VIEWS if len(views) >= MANY else FEW_VIEWS
     solid = (found[:, 0] >= least) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
@@ -167,60 +175,16 @@ def counted(position, size, views):
     return found
 
 
-class _Voxels:
-    """A hash table of voxels, which grows.
-
-    side : float [m]. Of the finest.
-    keys : int64 array (n,). Level and place of each voxel.
-    sums : float64 array (n, SUMS). Samples, and sums over them: place from the
-        middle [m], colour, direction to the camera.
-    """
-
-    def __init__(self, side):
-        self.side, self._count = side, 0
-        self._keys, self._sums = np.empty(0, np.int64), np.empty((0, SUMS))
-        self._table = np.empty(0, np.int64)
-
-    @property
-    def keys(self):
-        return self._keys[: self._count]
-
-    @property
-    def sums(self):
-        return self._sums[: self._count]
-
-    def add(self, view, middle, radius):
-        """Add the samples of a view to the sums of their voxels."""
-        room = self._count + view.depth.size
-        if room > len(self._keys):
-            size, keys, sums = 2 * room, self.keys, self.sums
-            self._keys, self._sums = np.empty(size, np.int64), np.zeros((size, SUMS))
-            self._keys[: len(keys)], self._sums[: len(sums)] = keys, sums
-            self._table = np.full(1 << (2 * size).bit_length(), -1, np.int64)
-            fill_table(self.keys, self._table)
-        self._count = add_view(
-            view, middle, radius, np.float32(self.side), self._count, self._table, self._keys,
-            self._sums,
-        )  # fmt: skip
-
-
-@serial_kernel
-def fill_table(keys, table_out):
-    """Enter keys into an empty hash table, whose length is a power of two."""
-    mask = len(table_out) - 1
-    for n in range(len(keys)):
-        at = ((keys[n] * 0x9E3779B1) ^ (keys[n] >> 29)) & mask
-        while table_out[at] >= 0:
-            at = (at + 1) & mask
-        table_out[at] = n
-
-
 @serial_kernel
 def add_view(view: DepthView, middle, radius, voxel, count, table_out, keys_out, sums_out):
     """Add a view's samples to voxels, and return how many voxels there are.
 
-    table_out, keys_out, sums_out
-        See `_Voxels`.
+    voxel : float32 [m]. Side of the finest.
+    count : int. Voxels so far.
+    table_out : int32 array. Hash table of their numbers, -1 where none is; its
+        length is a power of two.
+    keys_out : int64 array (n,). Level and place of each voxel.
+    sums_out : float64 array (n, SUMS)
     """
     height, width = view.depth.shape
     mask = len(table_out) - 1
