@@ -75,9 +75,9 @@ STAYS = "the light stays as captured"
 class SunRatio(NamedTuple):
     """Irradiance of the sun on what faces it over the clear sky's on open level ground."""
 
-    ratio: np.ndarray  # (3,)
-    pairs: int
-    agree: float  # share of all changes of brightness that are towards where the sun shines
+    ratio: np.ndarray = np.zeros(3)
+    pairs: int = 0
+    agree: float = 0.0  # share of all changes of brightness that are towards where the sun shines
     edges: EdgeShade = NO_EDGES
 
 
@@ -252,7 +252,7 @@ def measure(places, solids, plane, window, direction, sent):
     fit = (clear[a] > OPEN) & (clear[b] > OPEN) & (luminance(places.light[shaded]) > DIM)
     lit, shaded, a, b = lit[fit], shaded[fit], a[fit], b[fit]
     if len(lit) < LEAST_PAIRS:
-        return SunRatio(np.zeros(3), len(lit), 0.0)
+        return SunRatio(pairs=len(lit))
     change = np.maximum(places.light[lit], 1e-4) / np.maximum(places.light[shaded], 1e-4)
     # Where maps have an edge of a shadow that is not there, brightness hardly changes: the pairs
     # that change most say about what the edges do, and then those count that do half of it.
@@ -312,7 +312,7 @@ def shade_of(light, direction, ratio):
 
 def _measured(places, solids, plane, window, direction, score, sent):
     """Return the `SunRatio` of a direction of some score, and how sure it is."""
-    measured = SunRatio(np.zeros(3), 0, 0.0)
+    measured = SunRatio()
     if score > LEAST_SCORE and len(places.pair):
         measured = measure(places, solids, plane, window, direction, sent)
     return measured, _confidence(measured, score, direction)

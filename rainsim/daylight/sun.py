@@ -70,13 +70,13 @@ def places_of(surface, window):
     """Return the `Places` on the flat surfaces within a window."""
     half = 0.5 * window.side * window.pixel
     inside = (np.abs(surface.position - window.middle) < half).all(axis=1)
-    which = np.flatnonzero(inside & (surface.flat > 0.5) & (surface.weight > 0.2))
+    which = np.flatnonzero(inside & (surface.flat > 0.5))
     if len(which) < 2:
         none = np.zeros((0, 3), np.float32)
         return Places(none, none, none, np.zeros((0, 2), np.int64), np.zeros(0, np.float32))
     normal = surface.normal[which]
     group = cells_and_sides((surface.position[which] - window.middle + half) / CELL, normal)
-    weight = (surface.weight * surface.flat)[which].astype(np.float64)
+    weight = surface.flat[which].astype(np.float64)
     position, normal, light = (
         group_means(group, values, weight).astype(np.float32)
         for values in (surface.position[which], normal, surface.light[which])

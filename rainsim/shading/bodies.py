@@ -89,9 +89,7 @@ def body_map(terrain):
     rim = filters.distance(~smooth, RIM / spacing) <= RIM / spacing
     found = with_sides(height, under, things, things & rim, spacing)
     if found.size and len(terrain.tops):
-        found[..., 1] |= np.where((terrain.tops.index >= 0) & (found[..., 1] > 0), TOP, 0).astype(
-            np.uint8
-        )
+        found[..., 1] |= np.uint8(TOP) * ((terrain.tops.index >= 0) & (found[..., 1] > 0))
     return found
 
 

@@ -129,20 +129,19 @@ def completed(radiance, known):
     """
     plain = overcast()
     above = directions()[..., 2] > 0
+    known = known & above
     area = np.cos((0.5 - (np.arange(ROWS) + 0.5) / ROWS) * np.pi)[:, None]
-    share = float((area * (known & above)).sum() / (area * above).sum())
+    share = float((area * known).sum() / (area * above).sum())
     if share < LEAST_SKY_SEEN:
         return plain, share
-    ratio = np.median(radiance[known & above] / plain[known & above], axis=0)
-    weight = ndimage.gaussian_filter(
-        (known & above).astype(np.float64), SEAM, mode=("nearest", "wrap")
-    )
-    held = np.where((known & above)[..., None], radiance, 0)
+    ratio = np.median(radiance[known] / plain[known], axis=0)
+    weight = ndimage.gaussian_filter(known.astype(np.float64), SEAM, mode=("nearest", "wrap"))
+    held = np.where(known[..., None], radiance, 0)
     near = ndimage.gaussian_filter(held, (SEAM, SEAM, 0), mode=("nearest", "wrap", "nearest"))
     near = near / np.maximum(weight, 1e-6)[..., None]
     mix = np.clip(2 * weight, 0, 1)[..., None]
     filled = plain * ratio * (1 - mix) + near * mix
-    return np.where((known & above)[..., None], radiance, filled).astype(np.float32), share
+    return np.where(known[..., None], radiance, filled).astype(np.float32), share
 
 
 def brightest(environment):

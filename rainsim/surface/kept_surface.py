@@ -128,7 +128,8 @@ def find_surface(scene, step=lambda: None):
     casters, aloft, bared = good, np.full(len(position), not scene.cameras), None
     if weighed is not None:
         *weighed, seen = weighed
-        alone = _alone(near, surface)
+        # Away from every place of the surface.
+        alone = near[0] > ALONE * np.append(surface.size, 1)[near[1]]
         sky, aloft = _sky_splats(scene, views, colors, position, alone, middle, *weighed)
         sky &= good
         if sky.any():
@@ -173,12 +174,6 @@ def _solid(position, near, splats, good, views, frame, surface):
     packed = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     reach = 2 * np.log(splats.opacity[which] / STOPS)
     return np.column_stack([position[which], packed, reach]).astype(np.float32)
-
-
-def _alone(near, surface):
-    """Return which splats are away from every place of the surface, bool (n,)."""
-    away, place = near
-    return away > ALONE * surface.size[place] if len(surface.size) else np.ones(len(away), bool)
 
 
 def _nearest(places, position, good=None):

@@ -38,7 +38,7 @@ _ARRAYS = {
 }
 _TOP_ARRAYS = {
     "index": Field("int16", ("top rows", "top columns"), -1),
-    "surface": Field("float64", ("tops", 6), -HEIGHT, HEIGHT),
+    "surface": Field("float64", ("tops", "terms"), -HEIGHT, HEIGHT),
     "centre": Field("float64", ("tops", 2), **_LENGTH),
     "area": Field("float64", ("tops",), 0, 1e9),
     "patch": Field("int64", ("tops", 3), 0),
@@ -105,6 +105,8 @@ def read_terrain(folder):
     if "layer" in found and found["layer"].shape not in (shape, (0, 0)):
         raise _wrong(path, f"has a layer of shape {found['layer'].shape}", f"{shape} or (0, 0)")
     _check_tops(path, found, shape)
+    if TOPS + "surface" in found:  # old versions wrote squares besides, which were zero
+        found[TOPS + "surface"] = found[TOPS + "surface"][:, :3]
     return Terrain.from_arrays(found)
 
 
@@ -130,6 +132,7 @@ def _check_tops(path, found, shape):
     count, (rows, columns) = len(arrays["surface"]), arrays["relief"].shape
     index, patch = arrays["index"], arrays["patch"]
     fits = index.shape == (shape if count else (0, 0)) and (index < count).all()
+    fits &= arrays["surface"].shape[1] >= 3
     fits &= (patch[:, 0] + patch[:, 1] <= rows).all() and (patch[:, 2] <= columns).all()
     if not fits or not arrays["relief"].size:
         raise _wrong(path, "has tops that do not fit together", "their cells and patches in place")

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rainsim.errors import ParameterError
+from rainsim.scene.cameras import resize_to
 from rainsim.scene.types import Camera, pose_at
 from rainsim.scene.view import pixel_rays
 from rainsim.terrain.pond import without_images
@@ -85,8 +86,7 @@ def through_camera(scene, terrain, camera, depth=None):
     """
     from rainsim import raster
 
-    width = min(CHECK_WIDTH, camera.width)
-    camera = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+    camera = resize_to(camera, min(CHECK_WIDTH, camera.width))
     frame, grid = scene.ground_frame, terrain.grid
     scene = without_images(scene, terrain)
     layers = raster.rasterize(raster.prepare(scene.splats), camera, near=0.05)
@@ -118,8 +118,7 @@ def points_at(splats, camera, pixels):
     """
     from rainsim import raster
 
-    width = CHECK_WIDTH
-    small = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+    small, width = resize_to(camera, CHECK_WIDTH), CHECK_WIDTH
     layers = raster.rasterize(raster.prepare(splats), small, near=1e-3)
     points, _ = seen_points(small, layers.plane_depth)
     found = []

@@ -64,10 +64,8 @@ def find_tops(terrain, scene=None):
     level = np.array([top[4] for top in found])
     spacing = max(FINE, grid.spacing / FINER)
     spacing *= max(1.0, np.sqrt(2 * area[level].sum() / spacing**2 / MOST_CELLS))
-    plain = Tops(
-        index, surface, centre, area, np.zeros((len(found), 3), np.int64),
-        np.zeros((len(found), 2)), spacing, NO_TOPS.relief, NO_TOPS.holds,
-    )  # fmt: skip
+    blank = np.zeros((len(found), 3), np.int64), np.zeros((len(found), 2))
+    plain = Tops(index, surface, centre, area, *blank, spacing, NO_TOPS.relief, NO_TOPS.holds)
     return with_patches(plain, level, terrain, scene)
 
 
@@ -103,19 +101,18 @@ def padded(box, cells, shape):
 
 
 def fitted(terrain, box, mask):
-    """Return surface (6,), centre (2,) and whether a flat patch is level; None if it is rough."""
+    """Return surface (3,), centre (2,) and whether a flat patch is level; None if it is rough."""
     x, y = terrain.grid.centres()
     rows, columns = np.nonzero(mask)
     height = terrain.top[box][rows, columns].astype(np.float64)
     x, y = x[box[1]][columns], y[box[0]][rows]
     centre = np.array([x.mean(), y.mean()])
-    terms = terms_of(x - centre[0], y - centre[1])
-    plane, away = robust_fit(terms[:, :3], height)
+    plane, away = robust_fit(terms_of(x - centre[0], y - centre[1]), height)
     slope = np.hypot(*plane[1:])
     # A curved one has no outline in a map of such cells: bonnets keep the gloss of all wet things.
     if not away < ROUGHEST or slope > STEEPEST:
         return None
-    return np.append(plane, np.zeros(3)), centre, bool(slope < LEVEL_SLOPE)
+    return plane, centre, bool(slope < LEVEL_SLOPE)
 
 
 def grown(terrain, box, mask, surface, centre):
@@ -128,22 +125,18 @@ def grown(terrain, box, mask, surface, centre):
     inner = np.zeros([s.stop - s.start for s in wide], bool)
     rows, columns = np.nonzero(mask)
     inner[rows + box[0].start - wide[0].start, columns + box[1].start - wide[1].start] = True
+    reach = EDGE_CELLS + int(MARGIN / terrain.grid.spacing)
     x, y = terrain.grid.centres()
-    around = ndimage.binary_dilation(
-        inner, iterations=EDGE_CELLS + int(MARGIN / terrain.grid.spacing)
-    )
-    rows, columns = np.nonzero(around)
-    x, y = x[wide[1]][columns], y[wide[0]][rows]
-    height = terms_of(x - centre[0], y - centre[1]) @ surface
-    on = np.zeros_like(inner)
+    height = terms_of(*np.meshgrid(x[wide[1]] - centre[0], y[wide[0]] - centre[1])) @ surface
     with np.errstate(invalid="ignore"):
-        on[rows, columns] = np.abs(terrain.top[wide][rows, columns] - height) < FARTHEST
+        on = np.abs(terrain.top[wide] - height) < FARTHEST
+    on &= ndimage.binary_dilation(inner, iterations=reach)
     return wide, ndimage.binary_propagation(inner & on, mask=on) | inner
 
 
 def terms_of(x, y):
-    """Return the six terms of a surface at distances from its centre, (n, 6)."""
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    """Return the three terms of a surface at distances from its centre, (..., 3)."""
+    return np.stack([np.ones_like(x), x, y], axis=-1)
 
 
 def robust_fit(terms, height):

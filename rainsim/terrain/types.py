@@ -73,14 +73,13 @@ class Grid:
 class Tops:
     """Flat tops above the ground: tables, benches, roofs.
 
-    A top's surface is a plane, or curved a little: s0 + s1 X + s2 Y + s3 X^2 + s4 X Y + s5 Y^2,
-    with X, Y the distance from its centre. A level top has a patch of finer cells besides, on which
-    its relief is known; the patches lie one above the other in one array, with dry cells around
-    each. Without tops the index is of shape (0, 0).
+    A top's surface is a plane, s0 + s1 X + s2 Y, with X, Y the distance from its centre. A level
+    one has a patch of finer cells besides, on which its relief is known; the patches lie one above
+    the other in one array, with dry cells around each. Without tops the index has shape (0, 0).
     """
 
     index: np.ndarray  # (ny, nx), int16, the top over each cell and a margin, -1: none
-    surface: np.ndarray  # (n, 6), float64, s0 [m] to s5 [1/m]
+    surface: np.ndarray  # (n, 3), float64, s0 [m], s1, s2
     centre: np.ndarray  # (n, 2), float64, m
     area: np.ndarray  # (n,), float64, m2
     patch: np.ndarray  # (n, 3), int64: first row in the arrays, rows, columns; no rows if not level
@@ -113,7 +112,7 @@ class Tops:
 
 
 NO_TOPS = Tops(
-    np.zeros((0, 0), np.int16), np.zeros((0, 6)), np.zeros((0, 2)), np.zeros(0),
+    np.zeros((0, 0), np.int16), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0),
     np.zeros((0, 3), np.int64), np.zeros((0, 2)), 1.0, np.zeros((1, 1), np.float32),
     np.zeros((1, 1), bool),
 )  # fmt: skip

@@ -308,7 +308,7 @@ def test_dark_splats_take_the_values_of_dark_places():
     light = np.where(dark, 0.05, 0.4).astype("f4")[:, None] * np.ones(3, "f4")
     one = np.ones(len(place), np.float32)
     near = np.zeros((len(place), 1), np.int32)
-    surface = Surface(place, 0 * place, one, light, one, near, one)
+    surface = Surface(place, 0 * place, one, light, near, one)
     values = np.where(dark, 4.0, 0.5).astype("f4")[:, None]
     at = np.array([[0.01, 0, 0.02], [0.01, 0, 0.02], [5, 5, 5]], np.float32)
     own = np.array([0.05, 0.4, 0.4], "f4")[:, None] * np.ones(3, "f4")
