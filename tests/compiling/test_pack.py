@@ -24,7 +24,7 @@ pytestmark = [
 ]
 ROWS = {
     "rainsim.splatting.tiles:tile_starts": "int64[:, ::1]",
-    "rainsim.terrain.surface:raise_to_triangles": "float64[:, :, ::1], float32[:, ::1]",
+    "rainsim.water.tracks:wear": "float64[:, ::1], float32[:, ::1]",
     "made:triple": "int64",
 }
 MADE = """from rainsim.jit import serial_kernel
@@ -40,9 +40,7 @@ from rainsim.jit import KERNELS, processor
 
 calls = {
     "rainsim.splatting.tiles:tile_starts": (np.array([[1, 2], [3, 4]]),),
-    "rainsim.terrain.surface:raise_to_triangles": (
-        2.0 * np.eye(3)[None], np.zeros((3, 3), np.float32)
-    ),
+    "rainsim.water.tracks:wear": (np.zeros((0, 8)), np.zeros((2, 3), np.float32)),
     "made:triple": (7,),
 }
 compiled, results = [], {}
@@ -183,7 +181,7 @@ def test_a_file_with_another_hash_is_not_loaded_and_the_doctor_says_which(instal
     line = json.loads(installed.run("-m", "rainsim", "doctor", "--json"))["kernels"]
     assert line["used"] and line["damaged"] == [] and "x86-64-v3" in line["processor"]
     assert not {name for name in ROWS} & set(line["changed"])
-    (file,) = (place / "rainsim.terrain.surface").glob("*.nbc")
+    (file,) = (place / "rainsim.water.tracks").glob("*.nbc")
     whole = file.read_bytes()
     # Changed on purpose: the digest within the file is right, the one of the manifest is not.
     from rainsim.compiling.checked_files import _digest
@@ -193,9 +191,9 @@ def test_a_file_with_another_hash_is_not_loaded_and_the_doctor_says_which(instal
     try:
         found = json.loads(installed.run("-m", "rainsim", "doctor", "--json", code=1))
         assert found["kernels"]["damaged"] == [file.relative_to(place).as_posix()]
-        assert "rainsim.terrain.surface:raise_to_triangles" in found["kernels"]["changed"]
+        assert "rainsim.water.tracks:wear" in found["kernels"]["changed"]
         assert any("1 file is damaged in rainsim-kernels" in line for line in found["wrong"])
-        assert installed.calls()["compiled"] == ["rainsim.terrain.surface:raise_to_triangles"]
+        assert installed.calls()["compiled"] == ["rainsim.water.tracks:wear"]
     finally:
         file.write_bytes(whole)
 
