@@ -26,7 +26,7 @@ from rainsim.config.settings import Config
 from rainsim.reflection import water_pass
 from rainsim.reflection.mirror_choice import mirror_step
 from rainsim.reflection.mirrored_rays import ENVIRONMENT
-from rainsim.reflection.water_pass import March, choice_of
+from rainsim.reflection.water_pass import choice_of
 from rainsim.reflection.water_record import SLOPES
 from rainsim.render.renderer import Renderer
 from rainsim.scene.cameras import resize_to
@@ -40,6 +40,7 @@ ROUNDS = {False: 3, True: 1}  # of which the median counts
 WHOLE = "moderate"  # preset of the whole frames by method
 
 # Quality levels of the reflection: method, and what is set for it.
+USUAL_MARCH = water_pass.REFLECTION_THICKNESS, water_pass.REFLECTION_STRIDE
 MARCHES = {
     f"march {thickness * 100:.0f} cm, {stride} px": ("ssr", {"thickness": thickness, "px": stride})
     for thickness, stride in (
@@ -182,11 +183,9 @@ def _set(renderer, settings, width):
 
     Settings that it does not name get their defaults.
     """
-    usual, conductor = March(), renderer.conductor
-    renderer.passes.march = March(
-        settings.get("thickness", usual.thickness),
-        settings["px"] / width if "px" in settings else usual.stride,
-    )
+    conductor, (thickness, stride) = renderer.conductor, USUAL_MARCH
+    water_pass.REFLECTION_THICKNESS = settings.get("thickness", thickness)
+    water_pass.REFLECTION_STRIDE = settings["px"] / width if "px" in settings else stride
     size = settings.get("mirror_size", conductor.methods.mirror_size)
     rain = conductor.now.rain.rate, conductor.now.water.surface_film
     return mirror_step(size, *rain, renderer.wet.view.lens)

@@ -19,7 +19,7 @@ def small_terrain():
     top[3:6, 4:8] = 0.5
     index = np.where(top > 0, 0, -1).astype(np.int16)
     tops = Tops(
-        index, np.zeros((1, 6)), np.zeros((1, 2)), np.array([0.0048]),
+        index, np.zeros((1, 3)), np.zeros((1, 2)), np.array([0.0048]),
         np.array([[0, 5, 6]]), np.zeros((1, 2)), 0.01,
         np.zeros((5, 6), np.float32), np.ones((5, 6), bool),
     )  # fmt: skip

@@ -48,13 +48,15 @@ def turn_to_the_open(surface, solids, window):
     They are the backs of walls, which no camera saw; `surface.normal` is modified in place.
     """
     directions, window = sky_light.hemisphere(SIDE_DIRECTIONS), visibility.resized(window, SIDE)
-    sides = np.zeros((len(surface.position), 2), np.float32)
+    plane, sides = np.ones_like(surface.flat), np.zeros((2, len(surface.flat)), np.float32)
     for _, axes, heights in maps_along(solids, window, directions):
-        visibility.add_sides(
-            heights, axes, window, surface.position, surface.normal, np.float32(MARGIN), sides
-        )
+        cosine = surface.normal @ axes[:, 2].T
+        seen = np.empty_like(cosine)
+        place = surface.position, surface.normal, plane, np.float32(MARGIN)
+        visibility.find_seen(heights, axes, window, *place, seen)
+        sides += [(np.maximum(c, 0) * seen).sum(axis=1) for c in (cosine, -cosine)]
     sides /= SIDE_DIRECTIONS / 2  # what open level ground receives
-    surface.normal[(sides[:, 0] < BLIND) & (sides[:, 1] > OPEN)] *= -1
+    surface.normal[(sides[0] < BLIND) & (sides[1] > OPEN)] *= -1
 
 
 def sky_radiance(sun):

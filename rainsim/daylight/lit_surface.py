@@ -24,7 +24,6 @@ class Surface(NamedTuple):
     normal: np.ndarray  # (n, 3), float32, unit, towards those who see it
     flat: np.ndarray  # (n,), float32: places around lie in one plane, 0 (leaves) to 1 (paving)
     light: np.ndarray  # (n, 3), float32, linear captured colour, relative to display white
-    weight: np.ndarray  # (n,), float32, light that it stops, 0 to 1
     neighbours: np.ndarray  # (n, NEIGHBOURS), int32
     area: np.ndarray  # (n,), float32, m2, that a place stands for
 
@@ -43,9 +42,8 @@ def surface_of(found):
         tree = cKDTree(found.position, compact_nodes=False, balanced_tree=False)
         neighbours = tree.query(found.position, k=k, workers=get_num_threads())[1].astype(np.int32)
     return Surface(
-        found.position, found.normal.copy(), found.flat, found.light,
-        np.ones(count, np.float32), neighbours, found.size**2,
-    )  # fmt: skip
+        found.position, found.normal.copy(), found.flat, found.light, neighbours, found.size**2
+    )
 
 
 def carried(surface, size, values, position, light):

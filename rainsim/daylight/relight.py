@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from rainsim.constants import SH_0
 from rainsim.daylight.light import (
@@ -35,8 +34,8 @@ from rainsim.daylight.shade import NO_EDGES, EdgeShade, edge_shade, factor_in_sh
 from rainsim.daylight.sun import DIM, LEAST_SCORE, find_sun, of_one_paint, places_of, seen_from
 from rainsim.daylight.surroundings import USUAL_ALBEDO, patches_of, sent_in
 from rainsim.daylight.visibility import Window, solids_of, with_plane, with_splats
-from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
+from rainsim.numerics.places import cells_and_sides, group_means, nearest
 from rainsim.numerics.srgb import linear
 from rainsim.surface.ground_shade import hidden_at, lifted
 from rainsim.surface.views import FEWEST_CAMERAS
@@ -76,9 +75,9 @@ STAYS = "the light stays as captured"
 class SunRatio(NamedTuple):
     """Irradiance of the sun on what faces it over the clear sky's on open level ground."""
 
-    ratio: np.ndarray  # (3,)
-    pairs: int
-    agree: float  # share of all changes of brightness that are towards where the sun shines
+    ratio: np.ndarray = np.zeros(3)
+    pairs: int = 0
+    agree: float = 0.0  # share of all changes of brightness that are towards where the sun shines
     edges: EdgeShade = NO_EDGES
 
 
@@ -253,7 +252,7 @@ def measure(places, solids, plane, window, direction, sent):
     fit = (clear[a] > OPEN) & (clear[b] > OPEN) & (luminance(places.light[shaded]) > DIM)
     lit, shaded, a, b = lit[fit], shaded[fit], a[fit], b[fit]
     if len(lit) < LEAST_PAIRS:
-        return SunRatio(np.zeros(3), len(lit), 0.0)
+        return SunRatio(pairs=len(lit))
     change = np.maximum(places.light[lit], 1e-4) / np.maximum(places.light[shaded], 1e-4)
     # Where maps have an edge of a shadow that is not there, brightness hardly changes: the pairs
     # that change most say about what the edges do, and then those count that do half of it.
@@ -283,13 +282,9 @@ def _across_edges(places, lit, shaded):
     lit, shaded = np.flatnonzero(lit), np.flatnonzero(shaded)
     if not len(lit) or not len(shaded):
         return np.zeros((0, 2), np.int64)
-    tree, count = cKDTree(places.position[lit]), min(EDGE_PARTNERS, len(lit))
-    _, near = tree.query(
-        places.position[shaded], k=range(1, count + 1), distance_upper_bound=EDGE_REACH,
-        workers=get_num_threads(),
-    )  # fmt: skip
-    real = near < len(lit)
-    pairs = np.stack([lit[near[real]], np.repeat(shaded, count)[real.ravel()]], -1)
+    of_lit, of_shaded = places.position[lit], places.position[shaded]
+    _, near, known = nearest(of_lit, of_shaded, EDGE_PARTNERS, EDGE_REACH)
+    pairs = np.stack([lit[near[known]], shaded[np.nonzero(known)[0]]], -1)
     return pairs[of_one_paint(*places[:3], *pairs.T)]
 
 
@@ -317,7 +312,7 @@ def shade_of(light, direction, ratio):
 
 def _measured(places, solids, plane, window, direction, score, sent):
     """Return the `SunRatio` of a direction of some score, and how sure it is."""
-    measured = SunRatio(np.zeros(3), 0, 0.0)
+    measured = SunRatio()
     if score > LEAST_SCORE and len(places.pair):
         measured = measure(places, solids, plane, window, direction, sent)
     return measured, _confidence(measured, score, direction)
@@ -399,13 +394,8 @@ def by_color(surface, lit, plane, light, direction, ratio):
     if not len(band) or len(sure) < PAINT_COUNT:
         return shares
     paint = paint[sure]
-    tree = cKDTree(surface.position[sure], compact_nodes=False, balanced_tree=False)
-    away, near = tree.query(
-        surface.position[band], k=PAINT_COUNT, distance_upper_bound=PAINT_REACH,
-        workers=get_num_threads(),
-    )  # fmt: skip
-    known = np.isfinite(away)
-    near = np.where(known, near, 0)
+    of_sure, of_band = surface.position[sure], surface.position[band]
+    _, near, known = nearest(of_sure, of_band, PAINT_COUNT, PAINT_REACH)
     known &= np.einsum("ijk,ik->ij", surface.normal[sure][near], surface.normal[band]) > 0.85
     share, enough = np.zeros(len(band), np.float32), np.zeros(len(band), bool)
 
@@ -444,23 +434,9 @@ def _contradicted(surface, which, paint, shares, shade, lamp):
     `shares`, `shade` and `lamp` are those of all places, see `by_color`.
     """
     position, normal = surface.position[which], surface.normal[which]
-    cell = np.floor(position / AROUND_CELL).astype(np.int64)
-    side = np.argmax(np.abs(normal), axis=1)
-    _, group = np.unique(np.column_stack([cell, side]), axis=0, return_inverse=True)
-    group = group.ravel()
-    number = np.bincount(group)
-
-    def mean(values):
-        return np.stack([np.bincount(group, v) for v in values.T], -1) / number[:, None]
-
-    middle, up, own = mean(position), mean(normal), mean(paint)
-    count = min(AROUND_COUNT, len(middle))
-    tree = cKDTree(middle)
-    away, near = tree.query(
-        middle, k=range(1, count + 1), distance_upper_bound=AROUND_REACH, workers=get_num_threads()
-    )
-    known = np.isfinite(away)
-    near = np.where(known, near, 0)
+    group = cells_and_sides(position / AROUND_CELL, normal)
+    middle, up, own = (group_means(group, values) for values in (position, normal, paint))
+    _, near, known = nearest(middle, middle, AROUND_COUNT, AROUND_REACH)
     known &= np.einsum("ijk,ik->ij", up[near], up) > 0.85
     tint = own[:, :2] - own[:, 1:]
     known &= (np.abs(tint[near] - tint[:, None]) < 2 * SAME_TINT).all(axis=2)

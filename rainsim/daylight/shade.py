@@ -8,9 +8,8 @@ splats in the shade around take it over.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from rainsim.jit import get_num_threads
+from rainsim.numerics.places import cells_and_sides, group_means, nearest
 
 CELL = 0.4  # m, within which the pairs have one mean
 SPREAD, REACH = 1.0, 3.0  # m: standard deviation and end of the weight with the distance
@@ -39,16 +38,11 @@ def edge_shade(position, normal, change):
     """Return the `EdgeShade` of pairs: place and normal in the shade, and the change of each."""
     if not len(position):
         return NO_EDGES
-    cell = np.floor(position / CELL).astype(np.int64)
-    side = np.argmax(np.abs(normal), axis=1)
-    side += 3 * (np.take_along_axis(normal, side[:, None], 1)[:, 0] < 0)
-    _, group = np.unique(np.column_stack([cell, side]), axis=0, return_inverse=True)
-    group = group.ravel()
+    group = cells_and_sides(position / CELL, normal)
     count = np.bincount(group)
     order = np.argsort(group, kind="stable")
     parts = np.split(order, np.cumsum(count)[:-1])
-    middle = np.array([position[part].mean(axis=0) for part in parts], np.float32)
-    up = np.array([normal[part].mean(axis=0) for part in parts], np.float32)
+    middle, up = (group_means(group, v).astype(np.float32) for v in (position, normal))
     up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-6)
     median = np.array([np.median(change[part], axis=0) for part in parts])
     weight = np.minimum(count, MOST_PAIRS).astype(float)
@@ -64,15 +58,9 @@ def factor_in_shade(surface, shares, edges):
     which = np.flatnonzero(shares < 0.99)
     if not len(edges.weight) or not len(which):
         return factor
-    tree, count = cKDTree(edges.position), min(NEAR_CELLS, len(edges.weight))
-    away, near = tree.query(
-        surface.position[which], k=range(1, count + 1), distance_upper_bound=REACH,
-        workers=get_num_threads(),
-    )  # fmt: skip
-    known = np.isfinite(away)
-    near = np.where(known, near, 0)
+    away, near, known = nearest(edges.position, surface.position[which], NEAR_CELLS, REACH)
     along = np.einsum("ijk,ik->ij", edges.normal[near], surface.normal[which])
-    weight = np.exp(-0.5 * (np.where(known, away, 0) / SPREAD) ** 2) * edges.weight[near]
+    weight = np.exp(-0.5 * (away / SPREAD) ** 2) * edges.weight[near]
     weight *= known & (along > SAME_SIDE)
     total = np.einsum("ij,ijk->ik", weight, edges.change[near])
     change = total / (weight.sum(axis=1) + ENOUGH)[:, None]

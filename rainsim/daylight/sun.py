@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from rainsim.daylight.lit_surface import luminance
 from rainsim.daylight.sky_light import hemisphere
@@ -22,12 +21,12 @@ from rainsim.daylight.visibility import (
     find_seen,
     resized,
 )
-from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import in_blocks
+from rainsim.numerics.places import cells_and_sides, group_means, nearest
 
 CELL = 0.07  # m, of the places that are compared
 REACH = 0.5  # m between two of them
-PARTNERS = 12  # of each
+NEAR, PARTNERS = 60, 12  # places next to each, and those of them that it is compared with
 SAME_PLANE = 0.92  # cosine between their normals
 OFF_PLANE = 0.07  # of the distance between two places, that they may be apart along their normals
 # Logarithm of red over green, and of green over blue, of the brighter place less the darker one's:
@@ -71,28 +70,18 @@ def places_of(surface, window):
     """Return the `Places` on the flat surfaces within a window."""
     half = 0.5 * window.side * window.pixel
     inside = (np.abs(surface.position - window.middle) < half).all(axis=1)
-    which = np.flatnonzero(inside & (surface.flat > 0.5) & (surface.weight > 0.2))
+    which = np.flatnonzero(inside & (surface.flat > 0.5))
     if len(which) < 2:
         none = np.zeros((0, 3), np.float32)
         return Places(none, none, none, np.zeros((0, 2), np.int64), np.zeros(0, np.float32))
     normal = surface.normal[which]
-    cell = np.floor((surface.position[which] - window.middle + half) / CELL).astype(np.int64)
-    side = np.argmax(np.abs(normal), axis=1)
-    side += 3 * (np.take_along_axis(normal, side[:, None], 1)[:, 0] < 0)
-    key = ((cell[:, 0] << 40) | (cell[:, 1] << 20) | cell[:, 2]) * 6 + side
-    _, group = np.unique(key, return_inverse=True)
-    weight = (surface.weight * surface.flat)[which].astype(np.float64)
-    total = np.bincount(group, weight)
-
-    def mean(values):
-        sums = [np.bincount(group, weight * values[:, k]) for k in range(3)]
-        return (np.stack(sums, -1) / total[:, None]).astype(np.float32)
-
-    position = mean(surface.position[which])
-    normal = mean(normal)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal /= np.maximum(length, 1e-6)
-    light = mean(surface.light[which])
+    group = cells_and_sides((surface.position[which] - window.middle + half) / CELL, normal)
+    weight = surface.flat[which].astype(np.float64)
+    position, normal, light = (
+        group_means(group, values, weight).astype(np.float32)
+        for values in (surface.position[which], normal, surface.light[which])
+    )
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
     pair = _pairs(position, normal, light)
     change = np.log(np.maximum(luminance(light), DIM))
     change = np.clip(change[pair[:, 0]] - change[pair[:, 1]], -MOST_CHANGE, MOST_CHANGE)
@@ -101,15 +90,12 @@ def places_of(surface, window):
 
 def _pairs(position, normal, light):
     """Return pairs of near places of one plane and about one colour, each once."""
-    tree = cKDTree(position)
-    count = min(len(position), 60)
-    _, near = tree.query(position, k=count, distance_upper_bound=REACH, workers=get_num_threads())
+    _, near, known = nearest(position, position, NEAR, REACH)
     # Every few of the neighbours, so that pairs are of all lengths.
-    near = near[:, 1 :: max(1, count // PARTNERS)]
-    first = np.repeat(np.arange(len(position)), near.shape[1])
-    second = near.ravel()
-    real = (second < len(position)) & (first != second)
-    first, second = first[real], second[real]
+    some = slice(1, None, max(1, near.shape[1] // PARTNERS))
+    first, column = np.nonzero(known[:, some])
+    second = near[:, some][first, column]
+    first, second = first[first != second], second[first != second]
     alike = of_one_paint(position, normal, light, first, second)
     return np.stack([first[alike], second[alike]], -1)
 
@@ -138,28 +124,24 @@ def find_sun(places, solids, plane, window, given=None):
     visibility over the pairs that it tells apart.
     """
     width = window.side * float(window.pixel)
-    sets = {side: coarsened(solids, COARSER * width / side) for side in (COARSE, FINE)}
+    coarse, fine = (
+        [coarsened(s, COARSER * width / side) for s in (solids, plane)] for side in (COARSE, FINE)
+    )
     if given is not None:
         near = _near([given], GIVEN_DISC)
         if not len(near):
             return given, 0.0
     else:
-        likely = _likely(places, sets[COARSE], window)
+        likely = _likely(places, coarse[0], window)
         if likely[0][1] <= LEAST_SCORE:
             return likely[0]
         near = _near([direction for direction, score in likely if score > LEAST_SCORE], DISC)
     agreement = _Agreement(places, window)
-    found = agreement.of(near, [coarsened(s, COARSER * width / COARSE) for s in (solids, plane)],
-                         COARSE)  # fmt: skip
-    fine = [coarsened(s, COARSER * width / FINE) for s in (solids, plane)]
-    best = [near[k] for k in np.argsort(-found)[:TOPS]]
+    best = near[np.argsort(-agreement.of(near, coarse, COARSE))[:TOPS]]
     for step in STEPS:
-        rings = [_ring(direction, step) for direction in best]
-        found = [agreement.of(ring, fine, FINE) for ring in rings]
-        best = [max(zip(*pair, strict=True), key=lambda d: d[1]) for pair in zip(rings, found,
-                strict=True)]  # fmt: skip
-        best = [max(best, key=lambda d: d[1])[0]]
-    return best[0], float(strengths(places, sets[FINE], window, best[0][None], FINE)[0])
+        tried = np.concatenate([_ring(direction, step) for direction in best])
+        best = tried[[np.argmax(agreement.of(tried, fine, FINE))]]
+    return best[0], float(strengths(places, fine[0], window, best, FINE)[0])
 
 
 def _likely(places, solids, window):
@@ -173,14 +155,14 @@ def _likely(places, solids, window):
             best.append(tried[k])
         if len(best) == CANDIDATES:
             break
-    best = [_refined(places, solids, window, one, FIRST_STEP, COARSE) for one in best]
+    best = [_refined(places, solids, window, one) for one in best]
     return sorted(best, key=lambda found: -found[1])
 
 
-def _ring(direction, step):
-    """Return a direction and six about it, (7, 3)."""
+def _ring(direction, step, turned=0.0):
+    """Return a direction and six about it, (7, 3), `turned` by a share of their angles."""
     right, up, _ = axes_of(direction)[0].astype(np.float64)
-    turn = np.arange(6) * np.pi / 3
+    turn = (np.arange(6) + turned) * np.pi / 3
     ring = direction + step * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
     ring = np.concatenate([direction[None], ring])
     return ring / np.linalg.norm(ring, axis=1, keepdims=True)
@@ -249,30 +231,18 @@ def _near(directions, disc):
     return found
 
 
-def _refined(places, solids, window, direction, step, side):
+def _refined(places, solids, window, direction):
     """Return the best of directions about one, and its strength."""
-    right, up, _ = axes_of(direction)[0].astype(np.float64)
-    turn = np.arange(6) * np.pi / 3
-    ring = np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up
-    tried = np.concatenate([direction[None], direction + step * ring])
-    tried /= np.linalg.norm(tried, axis=1, keepdims=True)
-    tried = tried[tried[:, 2] > LEAST_HEIGHT / 2]
-    strength = strengths(places, solids, window, tried, side)
-    k = int(np.argmax(strength))
-    if k and step > STEPS[-1]:  # once more from there: the ring may end before the peak
-        again = _ring_only(places, solids, window, tried[k], step, side)
-        return max((tried[k], strength[k]), again, key=lambda found: found[1])
-    return tried[k], strength[k]
-
-
-def _ring_only(places, solids, window, direction, step, side):
-    right, up, _ = axes_of(direction)[0].astype(np.float64)
-    turn = (np.arange(6) + 0.5) * np.pi / 3
-    tried = direction + step * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
-    tried /= np.linalg.norm(tried, axis=1, keepdims=True)
-    strength = strengths(places, solids, window, tried, side)
-    k = int(np.argmax(strength))
-    return tried[k], strength[k]
+    strength = 0.0
+    for turned in (0.0, 0.5):  # once more from there: the ring may end before the peak
+        tried = _ring(direction, FIRST_STEP, turned)
+        tried = tried[tried[:, 2] > LEAST_HEIGHT / 2]
+        found = strengths(places, solids, window, tried, COARSE)
+        k = int(np.argmax(found))
+        direction, strength = tried[k], found[k]
+        if k == 0:
+            break
+    return direction, strength
 
 
 def strengths(places, solids, window, directions, side):

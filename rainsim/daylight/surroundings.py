@@ -9,12 +9,12 @@ out none.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from rainsim.constants import HALF, ONE, QUARTER, ZERO
 from rainsim.daylight.lit_surface import luminance
 from rainsim.daylight.sky_light import hemisphere
-from rainsim.jit import cpu_kernel, device_function, get_num_threads, prange
+from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.numerics.places import group_means, groups_of, nearest
 
 CELL, COARSER = 0.4, 1.26  # m, of the patches, and the factor by which cells grow
 MOST_PATCHES = 8000  # each is compared with each
@@ -54,20 +54,14 @@ class Sent(NamedTuple):
     def at(self, position, normal, flat):
         """Return the mean radiosity that places see below the horizon and above it, (n, 2, 3)."""
         patches = self.patches
-        count = min(NEAR_PATCHES, len(patches.area))
-        if not count or not len(position):
+        if not len(patches.area) or not len(position):
             return np.tile(self.mean, (len(position), 1, 1))
-        tree = cKDTree(patches.position)
-        away, near = tree.query(
-            position, k=range(1, count + 1), distance_upper_bound=REACH * patches.cell,
-            workers=get_num_threads(),
-        )  # fmt: skip
-        known = np.isfinite(away)
-        near = np.where(known, near, 0)
+        reach = REACH * patches.cell
+        away, near, known = nearest(patches.position, position, NEAR_PATCHES, reach)
         along = np.einsum("ijk,ik->ij", patches.normal[near], normal)
         plane = flat[:, None] * patches.flat[near]
         weight = plane * np.maximum(along, 0) ** 2 + OTHER_SIDE
-        weight *= known * np.exp(-2 * (np.where(known, away, 0) / patches.cell) ** 2)
+        weight *= known * np.exp(-2 * (away / patches.cell) ** 2)
         total = weight.sum(axis=1)[:, None, None]
         found = np.einsum("ij,ijkl->ikl", weight, self.light[near]) / np.maximum(total, 1e-12)
         return np.where(total > 0, found, self.mean).astype(np.float32)
@@ -84,27 +78,19 @@ def patches_of(surface, window):
     cell = CELL
     while True:
         place = np.floor((position - window.middle + half) / cell).astype(np.int64)
-        key = ((place[:, 0] << 40) | (place[:, 1] << 20) | place[:, 2]) * 7 + side
-        _, group = np.unique(key, return_inverse=True)
-        group = group.ravel()
+        group = groups_of(place, side)
         count = int(group.max()) + 1 if len(group) else 0
         if count <= MOST_PATCHES:
             break
         cell *= COARSER
     of = np.full(len(surface.position), count, np.int64)
     of[inside] = group
-    number = np.bincount(group, minlength=count)
-
-    def mean(values):
-        return (np.bincount(group, values, minlength=count) / number).astype(np.float32)
-
-    up = np.stack([mean(normal[:, k]) for k in range(3)], axis=-1)
+    means = group_means(group, np.column_stack([position, normal, surface.flat[inside]]))
+    middle, up, flat = np.split(means.astype(np.float32), [3, 6], axis=1)
     up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-6)
     covered = np.bincount(group, surface.area[inside], minlength=count) / cell**2
-    return Patches(
-        np.stack([mean(position[:, k]) for k in range(3)], axis=-1), up,
-        mean(surface.flat[inside]), (cell**2 * -np.expm1(-covered)).astype(np.float32), cell, of,
-    )  # fmt: skip
+    area = (cell**2 * -np.expm1(-covered)).astype(np.float32)
+    return Patches(middle, up, flat[:, 0], area, cell, of)
 
 
 def sent_in(surface, patches, white=USUAL_ALBEDO, gain=None):
@@ -123,11 +109,8 @@ def sent_in(surface, patches, white=USUAL_ALBEDO, gain=None):
     if gain is not None:
         own = own * gain
     count = len(patches.area)
-    number = np.bincount(patches.of, minlength=count + 1)[:count]
-    radiosity = np.stack([
-        np.bincount(patches.of, albedo * own[:, k], minlength=count + 1)[:count] for k in range(3)
-    ], -1)  # fmt: skip
-    radiosity = (radiosity / np.maximum(number, 1)[:, None]).astype(np.float32)
+    some = patches.of < count
+    radiosity = group_means(patches.of[some], albedo * own[some]).astype(np.float32)
     light = np.zeros((count, 2, 3), np.float32)
     if count:
         covered = -np.log1p(-np.minimum(patches.area / patches.cell**2, 1 - 1e-6))

@@ -12,6 +12,7 @@ import numpy as np
 
 from rainsim.constants import HALF, ONE, QUARTER, TWO, ZERO
 from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.numerics.places import group_means, groups_of
 
 # Of a place of the surface: deviation over the side of its voxel, and square of the deviations
 # within which it hides what is behind it.
@@ -85,24 +86,16 @@ def coarsened(solids, cell):
     """
     size = solids.covariance[:, 0] + solids.covariance[:, 3] + solids.covariance[:, 5]
     fine = size < (0.5 * cell) ** 2
-    place = np.floor(solids.position[fine] / cell).astype(np.int64)
-    if not len(place):
-        return solids
-    place -= place.min(axis=0)
-    _, which = np.unique((place * [1 << 42, 1 << 21, 1]).sum(axis=1), return_inverse=True)
-    area = np.sqrt(_minors(solids.covariance[fine])) * solids.reach[fine]
-    total = np.bincount(which, area)
-
-    def mean(values):
-        return (np.bincount(which, area * values) / total).astype(np.float32)
-
     position = solids.position[fine]
-    middle = np.stack([mean(position[:, k]) for k in range(3)], -1)
+    if not len(position):
+        return solids
+    which = groups_of(np.floor(position / cell).astype(np.int64), 0)
+    area = np.sqrt(_minors(solids.covariance[fine])) * solids.reach[fine]
+    total, middle = np.bincount(which, area), group_means(which, position, area).astype(np.float32)
+    i, j = np.transpose(PACKED)
     away = position - middle[which]
-    covariance = np.stack([
-        mean(solids.covariance[fine, k] + away[:, i] * away[:, j])
-        for k, (i, j) in enumerate(PACKED)
-    ], -1)  # fmt: skip
+    covariance = solids.covariance[fine] + away[:, i] * away[:, j]
+    covariance = group_means(which, covariance, area).astype(np.float32)
     # As much of the cell is covered as its splats cover together, at most what one Gaussian of
     # their spread does.
     new = np.minimum(total / np.maximum(np.sqrt(_minors(covariance)), 1e-12), MOST_REACH)
@@ -267,14 +260,3 @@ def add_light(
                 )
                 for r in range(radiance.shape[1]):
                     light_out[i, r] += facing * seen * radiance[k, r]
-
-
-@cpu_kernel
-def add_sides(heights, axes, window: Window, position, normal, margin, light_out):
-    """Add the light of an even sky from some directions to both sides of each place, (n, 2)."""
-    for i in prange(len(position)):
-        for k in range(len(axes)):
-            a = axes[k, 2]
-            cosine = a[0] * normal[i, 0] + a[1] * normal[i, 1] + a[2] * normal[i, 2]
-            seen = seen_share(heights[k], axes[k], window, position[i], normal[i], ONE, margin)
-            light_out[i, 0 if cosine > ZERO else 1] += abs(cosine) * seen

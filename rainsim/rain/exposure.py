@@ -7,13 +7,11 @@ import numpy as np
 from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.io import cache
 from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.numerics.windows import widened, window_of
 from rainsim.rain.size_distribution import terminal_speed
 from rainsim.rain.wind import wind_shares
 
-LEAST_KEPT = 1 << 18  # cells of a map whose exposure is kept; a smaller one takes .1 s
 SHELTER_BLUR = 0.05  # m: gusts and drops of other sizes soften the edge of a dry patch
 SHELTER_DIAMETERS = (1e-3, 2e-3, 3.5e-3)  # m, drops whose paths are followed
 
@@ -22,22 +20,12 @@ def rain_exposure(terrain, wind, roughness=0.0):
     """Return the share of the rain that reaches each ground cell, float32 (ny, nx).
 
     The paths of drops of three sizes are followed upwards. The result is blurred, because the edge
-    of a dry patch is soft in nature. The exposure of a large map is kept for the next run, see
-    `rainsim.io.cache`.
+    of a dry patch is soft in nature.
 
+    terrain : Terrain, or what has its grid, bed, top and underside.
     wind : tuple of float. Speed [m/s] at 10 m and direction [rad].
     roughness : float [m]. See `rain.wind.wind_shares`.
     """
-    if terrain.bed.size < LEAST_KEPT:
-        return computed_exposure(terrain, wind, roughness)
-    return cache.kept_arrays(
-        "exposure", lambda: {"share": computed_exposure(terrain, wind, roughness)},
-        terrain.bed, terrain.top, terrain.underside, terrain.grid, wind, roughness,
-    )["share"]  # fmt: skip
-
-
-def computed_exposure(terrain, wind, roughness=0.0):
-    """Return the exposure of what has grid, bed, top and underside; it is not kept."""
     share = np.empty(terrain.grid.shape, np.float32)
     ceiling, box = np.float32(terrain.top.max()), _box_of(terrain.top > terrain.bed)
     _find_open_share(

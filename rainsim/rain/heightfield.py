@@ -69,7 +69,6 @@ class Surfaces:
     ground: np.ndarray
     top: np.ndarray
     underside: np.ndarray
-    block_low: np.ndarray = field(init=False, repr=False)
     patch_high: np.ndarray = field(init=False, repr=False)
     around_low: np.ndarray = field(init=False, repr=False)
     around_high: np.ndarray = field(init=False, repr=False)
@@ -81,22 +80,17 @@ class Surfaces:
         shape = np.shape(self.ground)
         if len(shape) != 2 or 0 in shape:
             raise ParameterError(f"ground has shape {shape}; it must be (ny, nx), not empty")
-        put = object.__setattr__  # the class is frozen for its users
         for name in ("ground", "top", "underside"):
             heights = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
             if heights.shape != shape:
                 raise ParameterError(f"{name} has shape {heights.shape}; it must be {shape}")
             if not np.isfinite(heights).all():
                 raise ParameterError(f"{name} holds heights that are not finite; fill them first")
-            put(self, name, heights)
+            self._set(**{name: heights})
         if not (self.top >= self.ground).all():  # else the array that was given will do
-            put(self, "top", np.maximum(self.top, self.ground))
-        put(self, "block_low", reduce_blocks(np.minimum, self.ground))
-        put(self, "patch_high", reduce_blocks(np.maximum, self.top, PATCH))
-        put(self, "around_low", grow_blocks(np.minimum, self.block_low))
-        put(self, "around_high", grow_blocks(np.maximum, reduce_blocks(np.maximum, self.top)))
-        put(self, "sky", float(self.patch_high.max()) + _CLEARANCE)
-        put(self, "changes", [])
+            self._set(top=np.maximum(self.top, self.ground))
+        around_low = grow_blocks(np.minimum, reduce_blocks(np.minimum, self.ground))
+        self._set(around_low=around_low, changes=[], **_highest(self.top))
 
     def changed(self, top, underside, parts):
         """Return these surfaces with other tops and undersides, which differ in `parts` alone.
@@ -104,23 +98,12 @@ class Surfaces:
         top, underside : float32 array (ny, nx) [m]. Not lower than the ground.
         """
         other = copy(self)
-        high, around = self.patch_high.copy(), self.around_high.copy()
-        for part in parts:
-            blocks, cells = _blocks_of(part, PATCH, 0, self.shape)
-            high[blocks] = reduce_blocks(np.maximum, top[cells], PATCH)
-            wide, cells = _blocks_of(part, BLOCK, 2, self.shape)
-            blocks, _ = _blocks_of(part, BLOCK, 1, self.shape)
-            inner = tuple(slice(b.start - w.start, b.stop - w.start)
-                          for b, w in zip(blocks, wide, strict=True))  # fmt: skip
-            # Beyond those neighbours nothing differs, and at the map's edge both agree.
-            around[blocks] = grow_blocks(np.maximum, reduce_blocks(np.maximum, top[cells]))[inner]
-        for name, value in (
-            ("top", top), ("underside", underside), ("patch_high", high), ("around_high", around),
-            ("sky", float(high.max()) + _CLEARANCE),
-        ):  # fmt: skip
-            object.__setattr__(other, name, value)
-        object.__setattr__(other, "changes", list(parts))
+        other._set(top=top, underside=underside, changes=list(parts), **_highest(top))
         return other
+
+    def _set(self, **values):
+        for name, value in values.items():
+            object.__setattr__(self, name, value)  # the class is frozen for its users
 
     @property
     def shape(self):
@@ -148,13 +131,12 @@ def flat_surfaces(width, depth, spacing, origin=(0.0, 0.0), height=0.0):
     return Surfaces(spacing, origin, level, level, level)
 
 
-def _blocks_of(part, side, margin, shape):
-    """Return rows and columns of the blocks of a part with a margin of blocks, and their cells."""
-    blocks = tuple(
-        slice(max(s.start // side - margin, 0), min(-(-s.stop // side) + margin, -(-n // side)))
-        for s, n in zip(part, shape, strict=True)
-    )
-    return blocks, tuple(slice(b.start * side, b.stop * side) for b in blocks)
+def _highest(top):
+    """Return the attributes of `Surfaces` that follow from its tops."""
+    patch_high = reduce_blocks(np.maximum, top, PATCH)
+    around_high = grow_blocks(np.maximum, reduce_blocks(np.maximum, top))
+    sky = float(patch_high.max()) + _CLEARANCE
+    return {"patch_high": patch_high, "around_high": around_high, "sky": sky}
 
 
 def reduce_blocks(reduce, values, side=BLOCK):

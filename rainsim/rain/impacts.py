@@ -5,7 +5,6 @@ map in an interval are found without a history: cube by cube of the co-moving fr
 for each drop, and the search along its path for those that pass it.
 """
 
-import threading
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +16,6 @@ from rainsim.rain.heightfield import BLOCK, first_hit, stopped_at
 from rainsim.rain.size_distribution import drop_volume
 
 TIME_MARGIN = 1e-6  # s; hits are searched this far beyond an interval's ends, then cut exactly
-_MOST_VALUES, _MOST_LABELS = 5, 4  # per row of a listing
 
 
 @dataclass(frozen=True)
@@ -228,7 +226,9 @@ def run_listing(expected, width, label_width, kernel, tasks, *arguments):
     capacity = (expected + 6 * np.sqrt(expected) + 8).astype(np.int64)
     while True:
         offset = np.concatenate([[0], np.cumsum(capacity)])
-        values, labels, ids = _listing_buffers(offset[-1], width, label_width)
+        values = np.empty((offset[-1], width))
+        labels = np.empty((offset[-1], label_width), np.int32)
+        ids = np.empty(offset[-1], np.uint64)
         needed = np.zeros(len(tasks), np.int64)
         kernel(tasks, *arguments, offset, values, labels, ids, needed)
         if (needed <= capacity).all():
@@ -238,20 +238,3 @@ def run_listing(expected, width, label_width, kernel, tasks, *arguments):
     rows = skipped + np.arange(needed.sum())
     rows = rows[np.argsort(ids[rows])]  # ids differ, so any sort gives one order
     return values[rows], labels[rows], ids[rows]
-
-
-_kept = threading.local()
-
-
-def _listing_buffers(rows, width, label_width):
-    """Return outputs for a listing kernel, kept from call to call: fresh memory costs its time."""
-    if getattr(_kept, "rows", -1) < rows:
-        _kept.rows = int(1.2 * rows)
-        _kept.values = np.empty(_kept.rows * _MOST_VALUES)
-        _kept.labels = np.empty(_kept.rows * _MOST_LABELS, np.int32)
-        _kept.ids = np.empty(_kept.rows, np.uint64)
-    return (
-        _kept.values[: rows * width].reshape(rows, width),
-        _kept.labels[: rows * label_width].reshape(rows, label_width),
-        _kept.ids[:rows],
-    )

@@ -10,7 +10,7 @@ from rainsim.actors.footprint import put_on, shadows_on
 from rainsim.actors.motion import same_place
 from rainsim.jit import set_threads
 from rainsim.numerics.windows import placed, widened, window_of
-from rainsim.rain.exposure import computed_exposure
+from rainsim.rain.exposure import rain_exposure
 from rainsim.rain.heightfield import Surfaces
 from rainsim.terrain.types import Grid
 
@@ -23,7 +23,7 @@ SLOWEST = 4.0  # m/s: drops of 1 mm, the slowest whose paths the exposure follow
 
 
 class Heights(NamedTuple):
-    """A part of a terrain, as `computed_exposure` takes it."""
+    """A part of a terrain, as `rain_exposure` takes it."""
 
     grid: Grid
     bed: np.ndarray
@@ -120,6 +120,6 @@ class MovingSurfaces:
         bed = terrain.bed[part].copy()
         own = Heights(Grid(bed.shape, (0.0, 0.0), grid.spacing), bed, bed.copy(), bed.copy())
         put_on(own.bed, own.top, own.underside, shadow._replace(part=inner))
-        share = computed_exposure(own, self._wind, self._roughness)
+        share = rain_exposure(own, self._wind, self._roughness)
         here = window_of(share < 1)
         return None if here is None else (placed(here, part), share[here])

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from rainsim.constants import GRAVITY, SURFACE_TENSION, WATER_DENSITY
+from rainsim.numerics.places import group_means
 from rainsim.numerics.random import mix, subkey, uniform_triple
 from rainsim.rain.size_distribution import LARGEST, terminal_speed
 from rainsim.rain.tyres import TICK
@@ -216,11 +217,7 @@ def mist_puffs(rolls, time):
     alone = np.where(joined, 0, 1 + np.arange(len(joined)))
     key = np.column_stack([alone, rolls.car * joined, rolls.tick // TOGETHER * joined])
     _, which = np.unique(key, axis=0, return_inverse=True)
-    weight = np.bincount(which, section)
-
-    def mean(values):
-        return np.bincount(which, section * values) / weight
-
-    middle = np.column_stack([mean(values) for values in place.T])
+    middle = group_means(which, place, section)
     apart = ((place - middle[which]) ** 2).sum(axis=1) / 3
-    return Puffs(middle, np.sqrt(mean(variance + apart)), weight)
+    wide = group_means(which, (variance + apart)[:, None], section)[:, 0]
+    return Puffs(middle, np.sqrt(wide), np.bincount(which, section))

@@ -135,23 +135,11 @@ class SeenWater:
         return len(self.pixel)
 
 
-class March(NamedTuple):
-    """Steps of the march on the screen.
-
-    thickness : float [m]
-    stride : float. Of the width, a step.
-    """
-
-    thickness: float = REFLECTION_THICKNESS
-    stride: float = REFLECTION_STRIDE
-
-    def settings(self, width, is_paper=False):
-        """Return the `ssr.MarchSettings` of a picture of a width [px]."""
-        numbers = (
-            paper.EPSILON if is_paper else self.thickness, max(1.0, self.stride * width),
-            REFLECTION_LENGTH,
-        )  # fmt: skip
-        return ssr.MarchSettings(*(np.float32(n) for n in numbers))
+def march_settings(width, is_paper=False):
+    """Return the `ssr.MarchSettings` of a picture of a width [px]."""
+    thickness = paper.EPSILON if is_paper else REFLECTION_THICKNESS
+    numbers = thickness, max(1.0, REFLECTION_STRIDE * width), REFLECTION_LENGTH
+    return ssr.MarchSettings(*map(np.float32, numbers))
 
 
 def draw_surface(tables, depth, rings):
@@ -277,7 +265,7 @@ def tilt(seen, slopes, size, tops):
         water_shading.tilt_water(ripples, tops, seen.record)
 
 
-def light_up(seen, name, wet, tops, mirrors, surroundings, tall=None, march=None):
+def light_up(seen, name, wet, tops, mirrors, surroundings, tall=None):
     """Fill in the mirrored light of every record.
 
     seen : SeenWater
@@ -290,9 +278,7 @@ def light_up(seen, name, wet, tops, mirrors, surroundings, tall=None, march=None
         marched rays end in, and the blurred one that sloping tops mirror.
     tall : callable, optional. tall() returns the `ssr.DepthBlocks` to march;
         without it they are made.
-    march : March, optional
     """
-    march = march or March()
     places, others, surrounded = shared_out(seen, name, tops, wet.view)
     for place, which in places:
         view, mirror = mirrors(place)
@@ -300,7 +286,7 @@ def light_up(seen, name, wet, tops, mirrors, surroundings, tall=None, march=None
     if len(others):
         is_paper = name == "paper"
         blocks = depth_blocks(wet) if tall is None else tall()
-        settings = march.settings(wet.depth.shape[1], is_paper)
+        settings = march_settings(wet.depth.shape[1], is_paper)
         go, depth = screen_space.march_light, blocks
         if is_paper:
             go, depth = paper.paper_light, blocks.depth

@@ -40,16 +40,17 @@ QUARTER, LEAST_WAY = np.float32(0.25), np.float32(0.05)
 # level up, whole at the second.
 ROUNDED, ENDS, WHOLE = 0.8, 0.4, 1.0
 MARGIN = 0.3  # m around the middle of a top, beyond its width, that it surely ends in
-FORM = 13  # numbers of a top
-(CORNER_X, CORNER_Y, FIRST_ROW, ROWS, COLUMNS, CENTRE_X, CENTRE_Y, CONSTANT, BY_X, BY_Y, BY_XX,
- BY_XY, BY_YY) = range(FORM)  # fmt: skip
+FORM = 10  # numbers of a top
+(CORNER_X, CORNER_Y, FIRST_ROW, ROWS, COLUMNS, CENTRE_X, CENTRE_Y, CONSTANT, BY_X, BY_Y) = range(
+    FORM
+)
 
 
 class TopMaps(NamedTuple):
     """The tops as kernels take them; read-only. See `terrain.types.Tops`."""
 
     number: np.ndarray  # (ny, nx) int16, of the top over each cell, -1 for none; (0, 0) without any
-    form: np.ndarray  # (n, FORM) float32, see CORNER_X to BY_YY
+    form: np.ndarray  # (n, FORM) float32, see CORNER_X to BY_Y
     water: np.ndarray  # (n, 2) float32: which of `depths` show, and depth [m] of what flows off
     depths: np.ndarray  # (k, rows, columns) float32 [m], of puddles: `TopWater.drawn`
     holds: np.ndarray  # (rows, columns) float32, share that holds water
@@ -71,7 +72,7 @@ def top_maps(terrain, water):
         form[:, CORNER_X : CORNER_Y + 1] = tops.corner
         form[:, FIRST_ROW : COLUMNS + 1] = tops.patch
         form[:, CENTRE_X : CENTRE_Y + 1] = tops.centre
-        form[:, CONSTANT : BY_YY + 1] = tops.surface
+        form[:, CONSTANT : BY_Y + 1] = tops.surface
     return TopMaps(
         np.ascontiguousarray(tops.index), form, np.zeros((len(tops), 2), np.float32), water.drawn,
         drawn_film(tops.holds), np.array(terrain.grid.origin, np.float32),
@@ -102,8 +103,7 @@ def height_range(tops):
     if not len(tops):
         return 0.0, 0.0
     reach = np.sqrt(tops.area) + MARGIN
-    a, b, c, d, e = np.abs(tops.surface[:, 1:]).T
-    spread = (a + b) * reach + (c + d + e) * reach**2 + OFF_TOP
+    spread = np.abs(tops.surface[:, 1:]).sum(axis=1) * reach + OFF_TOP
     return (tops.surface[:, 0] - spread).min(), (tops.surface[:, 0] + spread).max()
 
 
@@ -155,12 +155,9 @@ def is_level(tops, k):
 def top_surface(tops, k, x, y):
     """Return height [m] and slopes of top k at (x, y) [m]; a level one counts as quite level."""
     f = tops.form[k]
-    x, y = x - f[CENTRE_X], y - f[CENTRE_Y]
-    gx = f[BY_X] + TWO * f[BY_XX] * x + f[BY_XY] * y
-    gy = f[BY_Y] + TWO * f[BY_YY] * y + f[BY_XY] * x
-    height = f[CONSTANT] + HALF * ((f[BY_X] + gx) * x + (f[BY_Y] + gy) * y)
+    height = f[CONSTANT] + f[BY_X] * (x - f[CENTRE_X]) + f[BY_Y] * (y - f[CENTRE_Y])
     sloping = ZERO if f[ROWS] > ZERO else ONE
-    return height, sloping * gx, sloping * gy
+    return height, sloping * f[BY_X], sloping * f[BY_Y]
 
 
 @inlined_function
@@ -226,7 +223,7 @@ def wet_top(view, tops, rain, depth, row, column):
         covers = max(covers, smoothstep(THIN, FULL, water)) * holds
     else:
         covers *= share_over(tops, k, eye[0] + hit * x, eye[1] + hit * y)
-        above *= HALF  # the fit of a curved top is worse
+        above *= HALF  # the fit of a sloping top is worse
     covers *= ONE - smoothstep(NEAR_TOP, OFF_TOP, abs(above))
     if not (covers > LEAST_COVERAGE and hit > LEAST_WAY):
         return ZERO, ZERO

@@ -227,7 +227,6 @@ class Conductor:
             known, times, kept, lambda time: self._rings(ground, moments[time].result()[1])
         )
         self._coming_on = ground
-        self.wet_scene.ground.bodies.look_ahead(times, kept)
 
     def set_time(self, time):
         """Take over the settings and the places of what moves of a time [s]."""

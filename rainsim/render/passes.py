@@ -18,11 +18,9 @@ class Passes:
     work : dict of str to callable. By the names of the passes, see `Frame.make`.
         What is no pass of the CPU has no entry: the light on wet ground is found
         with the film, tall things when a ray is first marched.
-    march : March. Steps of the march on the screen.
     """
 
     def __init__(self):
-        self.march = water_pass.March()
         self._mirrors, self._mirrored = {}, None  # by level, window and step; what they show
         self._blocks, self._glare = (None, None), Glare()
         self.work = {
@@ -65,7 +63,7 @@ class Passes:
         around = scene.sky.environment, scene.sky.gloss
         water_pass.light_up(
             seen, methods.reflections, wet, tops, mirrors.get, around,
-            lambda: self._depth_blocks(wet), self.march,
+            lambda: self._depth_blocks(wet),
         )  # fmt: skip
         return seen
 

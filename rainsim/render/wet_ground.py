@@ -40,7 +40,7 @@ class WetGround:
     def __init__(self, terrain, reach):
         self.terrain, self.reach, self.grass = terrain, reach, blurred_grass(terrain)
         self.tracked = self.bodies = None
-        self.thickest_layer = terrain.layer.max(initial=np.float32(0))
+        self.thickest_layer = np.abs(terrain.layer).max(initial=np.float32(0))
         self._tracks = NO_TRACKS
 
     def stand(self, actors):

@@ -13,18 +13,17 @@ from scipy.ndimage import median_filter, zoom
 from scipy.spatial import cKDTree
 
 from rainsim import constants
-from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import cpu_kernel, prange, serial_kernel
+from rainsim.constants import HALF, ONE
+from rainsim.jit import cpu_kernel, prange
+from rainsim.numerics.srgb import linear
 from rainsim.raster import Rasterizer, prepare
 from rainsim.shading import environment, sky
-from rainsim.shading.color import linear_from_display
-from rainsim.shading.grading import Look, graded, sky_share, undiluted
+from rainsim.shading.grading import Look, graded, is_like_sky, undiluted
 
 SH_0 = np.float32(constants.SH_0)
 LOWEST = np.float32(-0.06)  # sine of the elevation: a sky's splats are broad, and reach below 0
 SKY_SHARE, NEAREST_SKY = 0.7, 30.0  # of the capture's reach [m] where its sky may begin
 LOW_EYE = 1.5  # m above the ground, at least, of whom distant ground is drawn for
-SURE = np.float32(0.5)  # `sky_share` from which a splat is sky
 CLOUD = 5  # texels of the captured sky, 7 degrees: what is narrower than half of it is no cloud
 
 
@@ -148,9 +147,10 @@ def far_sky(splats, frame, eye, distance):
     eye : array (3,) [capture units]. From where the sky is seen.
     distance : float [m]. Least distance of the sky.
     """
-    found = np.zeros(len(splats), np.bool_)
-    away = (splats.position - eye.astype(np.float32)) * np.float32(frame.meters_per_unit)
-    _find(away, frame.up.astype(np.float32), splats.sh[:, 0], np.float32(distance), found)
+    way = (splats.position - eye.astype(np.float32)) * np.float32(frame.meters_per_unit)
+    far = np.sqrt((way * way).sum(axis=1))
+    found = (far > distance) & (way @ frame.up.astype(np.float32) > LOWEST * far)
+    found[found] = is_like_sky(linear(splats.sh[found, 0] * SH_0 + HALF))
     return found
 
 
@@ -159,20 +159,6 @@ def covered(splats, eye, which):
     scale = np.sort(splats.scale[which].astype(np.float64), axis=1)
     square = ((splats.position[which] - eye) ** 2).sum(axis=1)
     return float((splats.opacity[which] * scale[:, 1] * scale[:, 2] / square).sum())
-
-
-@serial_kernel
-def _find(away, up, color, distance, found_out):
-    """Find the splats that are sky; `color` (n, 3) holds their coefficients of degree 0."""
-    for n in range(len(away)):
-        x, y, z = away[n, 0], away[n, 1], away[n, 2]
-        far = np.sqrt(x * x + y * y + z * z)
-        high = x * up[0] + y * up[1] + z * up[2]
-        if far > distance and high > LOWEST * far:
-            r = linear_from_display(max(color[n, 0] * SH_0 + HALF, ZERO))
-            g = linear_from_display(max(color[n, 1] * SH_0 + HALF, ZERO))
-            b = linear_from_display(max(color[n, 2] * SH_0 + HALF, ZERO))
-            found_out[n] = sky_share(r, g, b) > SURE
 
 
 @cpu_kernel

@@ -14,7 +14,6 @@ from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
 from rainsim.numerics.interpolation import smoothstep
 from rainsim.numerics.windows import widened
-from rainsim.rain.moving_surfaces import begun
 from rainsim.terrain import filters
 
 LOWEST, TALLEST = 0.25, 2.8  # m over the ground, of a body's upper side
@@ -50,24 +49,13 @@ class BodyMap:
 
     def __init__(self, terrain, still, actors=None):
         self._terrain, self._actors, self.still = terrain, actors, still
-        self._coming = {}
         self.move()
 
     def move(self):
         """Put what moves where it is at the time of the actors."""
         self.now, self.moved = self.still, []
         if self._actors is not None and self._actors.time is not None:
-            time = self._actors.time
-            ahead = self._coming.get(time)
-            self.now, self.moved = self._at(time) if ahead is None else ahead.result()
-
-    def _at(self, time):
-        return stamped(self.still, self._terrain, time)
-
-    def look_ahead(self, times, kept):
-        """Begin to find the map at some times [s], see `MovingSurfaces.look_ahead`."""
-        if self._actors is not None:
-            self._coming = begun(self._coming, times, kept, self._at)
+            self.now, self.moved = stamped(self.still, self._terrain, self._actors.time)
 
 
 def body_map(terrain):
@@ -101,9 +89,7 @@ def body_map(terrain):
     rim = filters.distance(~smooth, RIM / spacing) <= RIM / spacing
     found = with_sides(height, under, things, things & rim, spacing)
     if found.size and len(terrain.tops):
-        found[..., 1] |= np.where((terrain.tops.index >= 0) & (found[..., 1] > 0), TOP, 0).astype(
-            np.uint8
-        )
+        found[..., 1] |= np.uint8(TOP) * ((terrain.tops.index >= 0) & (found[..., 1] > 0))
     return found
 
 

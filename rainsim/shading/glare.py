@@ -21,19 +21,11 @@ REACH = 30.0  # degrees: what a lamp scatters farther is not drawn, 1 % of its l
 DEGREES = 180 / math.pi
 
 
-def point_spread(angle):
+def scattered(angle):
     """Return the share of a point's light per steradian at an angle [degrees] from it.
 
-    Its integral over a hemisphere is 1 within 1 %; the first term, a narrow Gaussian of 0.02
-    degrees, is the sharp image itself.
+    Without f0, the sharp image itself, a narrow Gaussian of 0.02 degrees.
     """
-    angle = np.asarray(angle, np.float64)
-    sharp = 2.61e6 * np.exp(-((angle / 0.02) ** 2))
-    return 0.384 * sharp + scattered(angle)
-
-
-def scattered(angle):
-    """Return `point_spread` without its first term: the light that leaves the sharp image."""
     angle = np.asarray(angle, np.float64)
     return 0.478 * 20.91 / (angle + 0.02) ** 3 + 0.138 * 72.37 / (angle + 0.02) ** 2
 

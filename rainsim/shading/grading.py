@@ -9,8 +9,7 @@ import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
-from rainsim.numerics.interpolation import smoothstep
-from rainsim.shading.color import linear_from_display, luminance
+from rainsim.shading.color import LUMA, linear_from_display, luminance
 from rainsim.shading.fresnel import LAWS
 
 DULL_EXPOSURE = 0.7  # factor on captured light under an overcast sky, before the meter
@@ -113,12 +112,15 @@ def surface_color(r, g, b, alpha, look):
     return undiluted(r, g, b, alpha if look.open_sky > ZERO else ONE)
 
 
-@inlined_function
-def sky_share(r, g, b):
-    """Return how surely a far captured linear colour above the horizon is sky, 0 to 1.
+def is_like_sky(color):
+    """Tell which far captured linear colours (n, 3) above the horizon are sky.
 
     Bright and not green counts as sky: a guess, since a capture does not say what is sky.
     """
-    bright = smoothstep(SKY_DARK, SKY_BRIGHT, luminance(r, g, b))
-    top = max(max(r, g), np.float32(1e-3))
-    return bright * smoothstep(SKY_DULL, SKY_BLUE, b / top)
+
+    def share(values, low, high):
+        s = np.clip((values - low) / (high - low), 0, 1)
+        return s * s * (3 - 2 * s)
+
+    blue = color[:, 2] / np.maximum(color[:, :2].max(axis=1), 1e-3)
+    return share(color @ LUMA, SKY_DARK, SKY_BRIGHT) * share(blue, SKY_DULL, SKY_BLUE) > 0.5

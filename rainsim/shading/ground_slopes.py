@@ -4,7 +4,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
@@ -12,9 +11,8 @@ from rainsim.numerics.interpolation import is_on_map, map_place
 from rainsim.scene.view import image_ray
 from rainsim.shading.fresnel import EXACT
 from rainsim.shading.microfacet import LEAST_DIP
+from rainsim.terrain import filters
 
-ROWS = 512  # of the ground that are averaged at once
-FILTER_REACH = 4.5  # times its width that a Gaussian filter reaches at most
 SLOPE_WIDTH = 0.25  # m, over which the ground's height and slope are averaged
 
 
@@ -30,19 +28,13 @@ class GroundSlopes(NamedTuple):
 
 def ground_slopes(terrain):
     """Return the `GroundSlopes` of a terrain: its bed is averaged over SLOPE_WIDTH."""
-    cell, bed = terrain.grid.spacing, terrain.bed
-    width = SLOPE_WIDTH / cell
-    beyond = int(FILTER_REACH * width) + 2  # rows that bear on a row
+    cell, bed = terrain.grid.spacing, terrain.bed.astype(np.float64)
+    smooth = filters.gaussian_filter(bed, SLOPE_WIDTH / cell)
     slopes = np.empty((*bed.shape, 4), np.float32)
-    for first in range(0, len(bed), ROWS):  # by parts, for memory
-        last = min(first + ROWS, len(bed))
-        low, high = max(first - beyond, 0), min(last + beyond, len(bed))
-        smooth = ndimage.gaussian_filter(bed[low:high].astype(np.float64), width)
-        part, rows = slopes[first:last], slice(first - low, last - low)
-        part[..., 0] = smooth[rows]
-        part[..., 1] = np.gradient(smooth[rows], cell, axis=1)
-        part[..., 2] = np.gradient(smooth, cell, axis=0)[rows]
-    slopes[..., 3] = ndimage.gaussian_filter(terrain.by_class("film_slope"), 1)
+    slopes[..., 0] = smooth
+    slopes[..., 1] = np.gradient(smooth, cell, axis=1)
+    slopes[..., 2] = np.gradient(smooth, cell, axis=0)
+    slopes[..., 3] = filters.gaussian_filter(terrain.by_class("film_slope"), 1)
     return GroundSlopes(slopes, np.array(terrain.grid.origin, np.float32), np.float32(cell))
 
 

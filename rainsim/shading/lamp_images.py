@@ -69,19 +69,8 @@ def scaled(camera, resolution):
 
 def without_lamps(picture):
     """Return a picture whose colours are no brighter than BRIGHT; their hue stays."""
-    bright, picture = _brightest(picture) > BRIGHT, picture.copy()
-    picture[bright] *= 1 - _excess(picture[bright])
-    return picture
-
-
-def _brightest(color):
-    """Return the brightest channel of each colour (..., 3)."""
-    return np.maximum(np.maximum(color[..., 0], color[..., 1]), color[..., 2])
-
-
-def _excess(color):
-    """Return the share of the light of colours (n, 3) that is above BRIGHT, of shape (n, 1)."""
-    return np.maximum(1 - np.float32(BRIGHT) / np.maximum(_brightest(color), BRIGHT), 0)[:, None]
+    brightest = np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
+    return picture * (np.float32(BRIGHT) / np.maximum(brightest, np.float32(BRIGHT)))[..., None]
 
 
 @cpu_kernel

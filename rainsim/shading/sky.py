@@ -73,13 +73,9 @@ def clouded(environment):
     row, column = np.indices((CLOUD_ROWS, 2 * CLOUD_ROWS)) / CLOUD_ROWS
     scale = environment.shape[0]
     where = [row * scale - 0.5, column * environment.shape[1] / 2 - 0.5]
-    even = np.stack(
-        [
-            ndimage.map_coordinates(environment[..., c], where, order=1, mode="nearest")
-            for c in range(3)
-        ],
-        axis=-1,
-    )
+    even = [ndimage.map_coordinates(c, where, order=1, mode="nearest")
+            for c in np.moveaxis(environment, 2, 0)]  # fmt: skip
+    even = np.stack(even, axis=-1)
     made = even * np.exp(CLOUD_DEPTH * _bellies())[..., None]
     made *= irradiance(environment)[1] / irradiance(made)[1]
     return np.ascontiguousarray(made, dtype=np.float32)
@@ -133,20 +129,19 @@ def completed(radiance, known):
     """
     plain = overcast()
     above = directions()[..., 2] > 0
+    known = known & above
     area = np.cos((0.5 - (np.arange(ROWS) + 0.5) / ROWS) * np.pi)[:, None]
-    share = float((area * (known & above)).sum() / (area * above).sum())
+    share = float((area * known).sum() / (area * above).sum())
     if share < LEAST_SKY_SEEN:
         return plain, share
-    ratio = np.median(radiance[known & above] / plain[known & above], axis=0)
-    weight = ndimage.gaussian_filter(
-        (known & above).astype(np.float64), SEAM, mode=("nearest", "wrap")
-    )
-    held = np.where((known & above)[..., None], radiance, 0)
+    ratio = np.median(radiance[known] / plain[known], axis=0)
+    weight = ndimage.gaussian_filter(known.astype(np.float64), SEAM, mode=("nearest", "wrap"))
+    held = np.where(known[..., None], radiance, 0)
     near = ndimage.gaussian_filter(held, (SEAM, SEAM, 0), mode=("nearest", "wrap", "nearest"))
     near = near / np.maximum(weight, 1e-6)[..., None]
     mix = np.clip(2 * weight, 0, 1)[..., None]
     filled = plain * ratio * (1 - mix) + near * mix
-    return np.where((known & above)[..., None], radiance, filled).astype(np.float32), share
+    return np.where(known[..., None], radiance, filled).astype(np.float32), share
 
 
 def brightest(environment):
@@ -214,17 +209,12 @@ def from_panorama(panorama, brightness=1.0):
     """
     high = min(max(panorama.shape[0], ROWS), PANORAMA_ROWS)
     wide = 2 * high
+    for axis, least in enumerate((high, wide)):  # a small one is enlarged first
+        panorama = np.repeat(panorama, -(-least // panorama.shape[axis]), axis)
     rows = np.linspace(0, panorama.shape[0], high + 1).astype(int)
     columns = np.linspace(0, panorama.shape[1], wide + 1).astype(int)
-    if panorama.shape[0] >= high and panorama.shape[1] >= wide:
-        total = np.add.reduceat(np.add.reduceat(panorama, rows[:-1], axis=0), columns[:-1], axis=1)
-        area = np.diff(rows)[:, None] * np.diff(columns)[None, :]
-        scaled = total / area[..., None]
-    else:
-        row = np.minimum((np.arange(high) + 0.5) / high * panorama.shape[0], panorama.shape[0] - 1)
-        column = (np.arange(wide) + 0.5) / wide * panorama.shape[1]
-        column = np.minimum(column, panorama.shape[1] - 1)
-        scaled = panorama[row.astype(int)][:, column.astype(int)]
+    total = np.add.reduceat(np.add.reduceat(panorama, rows[:-1], axis=0), columns[:-1], axis=1)
+    scaled = total / (np.diff(rows)[:, None] * np.diff(columns))[..., None]
     wanted = irradiance(overcast(brightness))[1]
     present = max(irradiance(scaled)[1], 1e-6)
     return np.ascontiguousarray(scaled * (wanted / present), dtype=np.float32)

@@ -15,6 +15,7 @@ from rainsim.io import cache
 from rainsim.raster import Rasterizer
 from rainsim.shading.color import roughly_linear
 from rainsim.shading.environment import COLUMNS, ROWS, directions, probe
+from rainsim.surface.captured_sky import place_on_map
 
 SOLID = 0.5  # alpha from which a direction is covered
 CLEAR = 0.1  # alpha below which a gap is surely open
@@ -82,8 +83,7 @@ def opened(skyline, seen):
     """
     rows, columns = seen.shape
     direction = directions(*skyline.open.shape)
-    row = np.arcsin(np.clip(direction[..., 2], -1, 1)) / (np.pi / 2) * rows
-    column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * columns
+    row, column = place_on_map(direction, rows, columns)
     there = seen[np.clip(row.astype(int), 0, rows - 1), np.floor(column).astype(int) % columns]
     there = ndimage.maximum_filter(there, 2 * BEHIND + 1, mode=("nearest", "wrap"))
     share = ndimage.gaussian_filter(there.astype(np.float32), SOFT, mode=("nearest", "wrap"))

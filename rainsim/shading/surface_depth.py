@@ -6,16 +6,11 @@ show that, labels do.
 
 import math
 
-from rainsim.constants import ONE, ZERO
+from rainsim.constants import ONE
 from rainsim.jit import cpu_kernel, prange
 from rainsim.scene.view import View, column_slope, row_slope
-from rainsim.shading.smooth_normals import turn_of, turned
-from rainsim.shading.surface_point import (
-    GroundMaps,
-    depth_of_surface,
-    is_surface,
-    seen_surface,
-)
+from rainsim.shading.smooth_normals import turn_of
+from rainsim.shading.surface_point import GroundMaps, is_surface, seen_surface
 from rainsim.shading.wet_pass import NO_DEPTH, DryPicture
 
 
@@ -34,13 +29,10 @@ def find_surface_depth(dry: DryPicture, view: View, ground: GroundMaps, depth_ou
         for column in range(width):
             lean = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
             depth, plane = dry.depth[row, column] * unit, dry.plane_depth[row, column] * unit
-            alpha, (_, _, upness) = dry.alpha[row, column], turned(turn, *lean)
-            _, wetted = depth_of_surface(depth, plane, upness)
+            _, _, sine, _, _, point = seen_surface(
+                turn, view, row, column, lean, depth, plane, dry, (height, width), ground
+            )
             a, b = column_slope(view, column), row_slope(view, row)
-            _, _, sine = turned(turn, a, b, ONE)
-            if ground.thickest_layer > ZERO:
-                _, _, _, _, _, point = seen_surface(
-                    turn, view, row, column, lean, depth, plane, dry, (height, width), ground
-                )
-                wetted = point.distance / math.sqrt(a * a + b * b + ONE)
-            depth_out[row, column] = wetted if is_surface(alpha, sine) else NO_DEPTH
+            wetted = point.distance / math.sqrt(a * a + b * b + ONE)
+            shown = is_surface(dry.alpha[row, column], sine)
+            depth_out[row, column] = wetted if shown else NO_DEPTH

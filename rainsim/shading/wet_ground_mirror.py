@@ -26,7 +26,7 @@ from rainsim.numerics.interpolation import four_colors
 from rainsim.numerics.ripmap import LEVELS, ripmap, sample_ripmap
 from rainsim.raster import select
 from rainsim.scene.types import Camera, pose_at
-from rainsim.scene.view import View, pixel_ray, rays
+from rainsim.scene.view import View, rays
 from rainsim.shading import lamp_images
 from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import LAWS
@@ -53,10 +53,9 @@ STANDING_OUTSIDE = 0.15  # m above the ground plane, off the map
 FAR = np.float32(200.0)  # m, stands for the sky's distance
 STEPS = 3  # of the search for the end of a mirrored ray
 NEAR_RAY = np.float32(0.2)  # cosine to the axis of the level picture at which rays are held
-COARSE = 8  # px, distance of the pixels that `reflected_share` takes
+COARSE = 8  # px, distance of the pixels that `mean_share` takes
 USUAL_SLOPE = np.float32(0.2)  # rms slope of the film, for an estimate of its share of the light
-STEEPEST_DIP, SHARES = np.float32(20), 48  # tangent at which the estimate's table ends, its entries
-PER_LOG = np.float32((SHARES - 1) / math.log(STEEPEST_DIP / LEAST_DIP))
+STEEPEST_DIP, SHARES = 20.0, 48  # tangent at which the estimate's table ends, its entries
 EDGE = np.float32(6.0)  # px, over which the level picture fades into the environment
 WORTH = 0.006  # mean share of the light in view from which `auto` draws the level picture
 
@@ -79,11 +78,8 @@ NO_LEVEL_PICTURE = LevelPicture(
 def standing(prepared, terrain, frame):
     """Return the leading splats of things that stand on the ground, with harmonics to degree 1."""
     place = frame.to_ground(prepared.position.astype(np.float64))
-    (x0, y0), cell = terrain.grid.origin, terrain.grid.spacing
-    column, row = np.floor((place[:, 0] - x0) / cell), np.floor((place[:, 1] - y0) / cell)
-    ny, nx = terrain.bed.shape
-    inside = (column >= 0) & (row >= 0) & (column < nx) & (row < ny)
-    column, row = (np.where(inside, a, 0).astype(np.int64) for a in (column, row))
+    with np.errstate(invalid="ignore"):  # what is no number lies nowhere
+        row, column, inside = terrain.grid.cells(place[:, 0], place[:, 1])
     least = np.where(inside, terrain.bed[row, column] + STANDING, STANDING_OUTSIDE)
     return select(_coarse(prepared), (place[:, 2] > least) & prepared.is_leading)
 
@@ -408,44 +404,21 @@ def has_cover(cover, first, end, left, right):
 
 def mean_share(view, cover):
     """Return the mean share of the light in view that wet ground mirrors, by every eighth pixel."""
-    rows, columns = (-(-n // COARSE) for n in cover.shape)
-    total = np.empty(rows)
-    reflected_share(cover, view, usual_shares(), total)
-    return float(total.sum() / (rows * columns))
+    some = cover[::COARSE, ::COARSE]
+    row, column = np.nonzero(some)
+    ray = rays(view, COARSE * column + 0.5, COARSE * row + 0.5) @ view.ground_from_camera.T
+    dip = np.clip(-ray[:, 2] / np.hypot(ray[:, 0], ray[:, 1]), LEAST_DIP, STEEPEST_DIP)
+    share = np.interp(np.log(dip), *usual_shares())
+    return float(some[row, column] @ share) / some.size
 
 
 @functools.cache
 def usual_shares():
-    """Return the reflectance of usual wet ground at SHARES tangents, see `usual_share`."""
+    """Return logarithms of SHARES tangents and the reflectance of usual wet ground seen at these.
+
+    USUAL_SLOPE is the rms slope of its film.
+    """
     tangent = np.geomspace(LEAST_DIP, STEEPEST_DIP, SHARES).astype(np.float32)
     share = np.empty_like(tangent)
     ground_reflectance(LOBE, tangent, USUAL_SLOPE, share)
-    return share
-
-
-@jit.lean_function
-def usual_share(table, x, y, z):
-    """Return about which share of light a full film mirrors that is seen along (x, y, z)."""
-    dip = min(max(-z / math.sqrt(x * x + y * y), LEAST_DIP), STEEPEST_DIP)
-    at = math.log(dip / LEAST_DIP) * PER_LOG
-    i = min(int(at), SHARES - 2)
-    return table[i] + (table[i + 1] - table[i]) * (at - np.float32(i))
-
-
-@jit.cpu_kernel
-def reflected_share(cover, view: View, table, total_out):
-    """Sum the shares of light that wet ground mirrors, of every eighth pixel of every eighth row.
-
-    cover : float32 array (height, width)
-    table : float32 array (SHARES,). As `usual_shares` returns it.
-    total_out : float64 array (rows,). A sum for each of these rows.
-    """
-    for j in prange(len(total_out)):
-        row = np.int64(j) * COARSE
-        total = 0.0
-        for column in range(0, cover.shape[1], COARSE):
-            share = cover[row, column]
-            if share > ZERO:
-                x, y, z = pixel_ray(view, row, column)
-                total += share * usual_share(table, x, y, z)
-        total_out[j] = total
+    return np.log(tangent), share

@@ -338,6 +338,27 @@ def glossed(x, y, z, cosine, nx, ny, nz, smooth):
 
 
 @inlined_function
+def wet_surface(color, alpha, sine, point, around, ground, rain, look):
+    """Return what a captured surface is before the light of the day: colour, place and wetness.
+
+    color, alpha, point, around, ground, rain : see `wet_pixel`
+    sine : float32. Of the elevation of the view.
+    Returns r, g, b : float32. Captured linear colour.
+        point : SurfacePoint. With the normal by which it gets wet.
+        clearance, height : float32 [m]. See `heights_of`.
+        level : float32. How surely it is the ground.
+        wet : Wetness
+    """
+    clearance, height = heights_of(point, is_surface(alpha, sine), ground)
+    r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
+    normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
+    point = with_normal(point, normal)
+    level = ground_share(height, point.nz, point.ground)
+    wet = wet_state(point, clearance, height, level, leaf_share(r, g, b), ground, rain)
+    return r, g, b, point, clearance, height, level, wet
+
+
+@inlined_function
 def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_apart):
     """Return the radiance of a captured point in the rain: all formulas put together.
 
@@ -358,12 +379,9 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
             unless `mirror_apart`.
     """
     x, y, z = ray
-    clearance, height = heights_of(point, is_surface(alpha, z), ground)
-    r, g, b = surface_color(color[0], color[1], color[2], alpha, look)
-    normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
-    point = with_normal(point, normal)
-    level = ground_share(height, point.nz, point.ground)
-    wet = wet_state(point, clearance, height, level, leaf_share(r, g, b), ground, rain)
+    r, g, b, point, clearance, height, level, wet = wet_surface(
+        color, alpha, z, point, around, ground, rain, look
+    )
     cosine = -(x * point.nx + y * point.ny + z * point.nz)
     r, g, b, gloss, through, smooth = rainy_color(
         r, g, b, alpha, z, cosine, point.nz, height, level, wet, look

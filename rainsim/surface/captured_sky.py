@@ -108,21 +108,16 @@ class SkyColors:
         grey = _is_grey(self.color.reshape(-1, 3))
         return parts, [part > 0 for part in parts] if grey else near
 
-    def _alike(self, view, exposure):
-        """Return which pixels have the sky's colour, by how much more, and their sine of height."""
-        direction = directions(view)
-        more = self._more(view.light, direction, exposure)
-        near = (np.abs(more).max(axis=-1) < SAME) & (direction[..., 2] > LOWEST)
-        return ndimage.median_filter(near, 3), more, direction[..., 2]
-
     def _parts(self, view, exposure):
         """Return what the pixels of a view show, region by region, and which have the sky's colour.
 
         A region of the sky has the sky's colour, or is a cloud, and goes on past the edge of the
         picture where it is highest. A pane, a pale roof or a white house ends below that.
         """
-        near, more, high = self._alike(view, exposure)
+        direction = directions(view)
+        more, high = self._more(view.light, direction, exposure), direction[..., 2]
         off = np.abs(more).max(axis=-1)
+        near = ndimage.median_filter((off < SAME) & (high > LOWEST), 3)
         cloud = ~near & (more.min(axis=-1) > -SAME) & (high > LOWEST)
         sky = near | _clouds(cloud, near, high)
         label, count = ndimage.label(sky)
@@ -138,10 +133,9 @@ class SkyColors:
 
     def at(self, direction):
         """Return the logarithm of the sky's colour in directions (..., 3)."""
-        row = np.arcsin(np.clip(direction[..., 2], 0, 1)) / (np.pi / 2) * ROWS - 0.5
-        column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * COLUMNS - 0.5
+        row, column = place_on_map(direction, ROWS, COLUMNS)
         wide = np.concatenate([self.color[:, -1:], self.color, self.color[:, :1]], axis=1)
-        place = [row, column % COLUMNS + 1]
+        place = [row - 0.5, (column - 0.5) % COLUMNS + 1]
         channels = [
             ndimage.map_coordinates(wide[..., c], place, order=1, mode="nearest") for c in range(3)
         ]
@@ -160,6 +154,16 @@ def directions(view):
     return ray @ view.matrix[:, :3]
 
 
+def place_on_map(direction, rows, columns):
+    """Return row and column, with fractions, of directions (..., 3) on a map of the upper half.
+
+    Row 0 is at the horizon, column 0 at azimuth 0: below the one and right of the other they are
+    negative.
+    """
+    row = np.arcsin(np.clip(direction[..., 2], -1, 1)) / (np.pi / 2) * rows
+    return row, np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * columns
+
+
 def seen_sky(views, shown):
     """Return in which directions cameras saw the sky, bool (rows, columns) of 2 degrees.
 
@@ -170,8 +174,7 @@ def seen_sky(views, shown):
 
     def counted(view, sky):
         direction = directions(view)
-        row = np.arcsin(np.clip(direction[..., 2], -1, 1)) / (np.pi / 2) * rows
-        column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * columns
+        row, column = place_on_map(direction, rows, columns)
         above = row >= 0
         row = np.minimum(row[above].astype(int), rows - 1)
         place = row * columns + np.floor(column[above]).astype(int) % columns
@@ -197,20 +200,15 @@ def _likely(view, direction):
     return likely & ~wall[label] & (high > 0)
 
 
-def _texels(direction):
-    row = np.arcsin(np.clip(direction[..., 2], 0, 1)) / (np.pi / 2) * ROWS
-    column = np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi) * COLUMNS
-    row, column = row.astype(np.int64).clip(0, ROWS - 1), np.floor(column).astype(np.int64)
-    return row * COLUMNS + column % COLUMNS
-
-
 def _seen(views):
     """Return camera, texel and logarithm of the colour (3) of what may be sky, of each texel."""
 
     def seen(n, view):
         direction = directions(view)
         likely = _likely(view, direction)
-        texel = _texels(direction)[likely]
+        row, column = place_on_map(direction[likely], ROWS, COLUMNS)
+        row, column = row.astype(np.int64).clip(0, ROWS - 1), np.floor(column).astype(np.int64)
+        texel = row * COLUMNS + column % COLUMNS
         color = np.log(np.clip(view.light[likely], 0.01, 1.0))
         order = np.argsort(texel, kind="stable")
         texel, color = texel[order], color[order]
@@ -292,9 +290,9 @@ def _highest_part(color):
     """
     high = (np.arange(ROWS) + 0.5)[:, None] / ROWS * np.pi / 2
     known = np.isfinite(color[..., 0])
-    part = _parts(color, known)
-    if part is None:
+    if not known.any():
         return known
+    part = _parts(color)
     size = np.broadcast_to(np.sin(high) * np.cos(high), part.shape)
     weight = np.bincount(part[known], size[known])
     light = np.bincount(part[known], size[known] * color[known].mean(axis=-1))
@@ -329,10 +327,8 @@ def _completed(color, spread, known):
     return smooth + spread / (near + 0.05)
 
 
-def _parts(color, known):
-    """Return the number of the smooth part that each texel belongs to; None without texels."""
-    if not known.any():
-        return None
+def _parts(color):
+    """Return the number of the smooth part that each texel belongs to."""
     number = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
     pairs = []
     for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
+from rainsim.jit import cpu_kernel, prange, serial_kernel
 from rainsim.numerics.blocks import in_blocks
+from rainsim.numerics.places import group_means, groups_of
 from rainsim.surface.views import DepthView
 from rainsim.surface.walls import to_walls
 
@@ -29,7 +30,9 @@ NEIGHBOURS = 20  # places about one that its plane is fitted to
 # where none does.
 ROUND, PLAIN_ROUND = 0.45, 1.0
 AROUND = 9  # of them, of whose flatness the median is taken
-SUMS = 11  # of a voxel, see `_Voxels`
+# Of a voxel: samples, and sums over them: place from the middle [m], colour, direction to the
+# camera, how plain the picture is there.
+SUMS = 11
 # Of plain parts: cells that are taken together, and the deviation of the weights of those about a
 # place, both in m; how many of them; off a plane, over that deviation: half their weight; farthest.
 SCALES, NODES = ((0.24, 0.7), (0.12, 0.3)), 32
@@ -37,7 +40,6 @@ BARELY_PLAIN = 0.15  # of places that are moved to a wall beside them
 ROBUST, FARTHEST = 0.2, 1.5
 EVEN = 0.15  # of the variance along a plane, that across it may be
 KEY_BITS = 19  # of a voxel's place along each axis
-SWEEPS = 6  # of rotations, after which nothing is left beside a diagonal of float64
 
 
 class CaptureSurface(NamedTuple):
@@ -58,13 +60,19 @@ def fused(views, middle, radius):
     twice that where pixels are about as wide.
     """
     middle = np.asarray(middle, np.float32)
-    voxels = _Voxels(VOXEL if pixel_of(views) < COARSE * VOXEL else 2 * VOXEL)
+    voxel = VOXEL if pixel_of(views) < COARSE * VOXEL else 2 * VOXEL
+    count, most = 0, sum(view.depth.size for view in views)
+    # What is not written to takes no memory. The table always has an empty place.
+    keys, sums = np.empty(most, np.int64), np.zeros((most, SUMS))
+    table = np.full(1 << most.bit_length(), -1, np.int32)
     for view in views:
-        voxels.add(view, middle, np.float32(radius))
-    sums = voxels.sums
+        count = add_view(
+            view, middle, np.float32(radius), np.float32(voxel), count, table, keys, sums
+        )
+    keys, sums = keys[:count], sums[:count]
     number = np.maximum(sums[:, 0], 1)[:, None]
     position = np.ascontiguousarray(sums[:, 1:4] / number + middle, np.float32)
-    size = voxels.side * 2.0 ** (voxels.keys >> 3 * KEY_BITS)
+    size = voxel * 2.0 ** (keys >> 3 * KEY_BITS)
     found = counted(position, size.astype(np.float32), views)
     least = LEAST_VIEWS if len(views) >= MANY else FEW_VIEWS
     solid = (found[:, 0] >= least) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
@@ -112,10 +120,8 @@ def evened(position, plain, towards, size, weight, views):
 def _to_planes(position, weight, cell, wide):
     """Return places moved to planes of the splats `wide` [m] around, and where they are layers."""
     place = np.floor(position / cell).astype(np.int64)
-    group = np.unique(place, axis=0, return_inverse=True)[1].ravel()
-    total = np.bincount(group, weight)
-    node = np.stack([np.bincount(group, weight * position[:, k]) for k in range(3)], -1)
-    node /= total[:, None]
+    group = groups_of(place, 0)
+    total, node = np.bincount(group, weight), group_means(group, position, weight)
     tree, k = cKDTree(node), min(NODES, len(node))
     result, even = position.copy(), np.zeros(len(position), bool)
 
@@ -149,21 +155,13 @@ def thinned(surface):
     key -= key.min(axis=1, keepdims=True, initial=0)
     key = np.ravel_multi_index(tuple(key), tuple(key.max(axis=1, initial=0) + 1))
     group = np.unique(key, return_inverse=True)[1]
-    weight = surface.views.astype(np.float64)
-    total = np.bincount(group, weight)
-
-    def mean(values):
-        sums = [np.bincount(group, weight * v) for v in np.atleast_2d(values.T)]
-        return (np.stack(sums, -1) / total[:, None]).astype(np.float32)
-
-    normal = mean(surface.normal)
+    means = group_means(group, np.column_stack(surface[:5]), surface.views.astype(np.float64))
+    means = np.split(means.astype(np.float32), [3, 6, 7, 10], axis=1)
+    position, normal, flat, light, size = map(np.ascontiguousarray, means)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-    views = np.zeros(len(total), np.uint8)
+    views = np.zeros(len(size), np.uint8)
     np.maximum.at(views, group, surface.views)
-    return CaptureSurface(
-        mean(surface.position), normal, mean(surface.flat)[:, 0], mean(surface.light),
-        mean(surface.size)[:, 0], views,
-    )  # fmt: skip
+    return CaptureSurface(position, normal, flat[:, 0], light, size[:, 0], views)
 
 
 def counted(position, size, views):
@@ -177,60 +175,16 @@ def counted(position, size, views):
     return found
 
 
-class _Voxels:
-    """A hash table of voxels, which grows.
-
-    side : float [m]. Of the finest.
-    keys : int64 array (n,). Level and place of each voxel.
-    sums : float64 array (n, SUMS). Samples, and sums over them: place from the
-        middle [m], colour, direction to the camera.
-    """
-
-    def __init__(self, side):
-        self.side, self._count = side, 0
-        self._keys, self._sums = np.empty(0, np.int64), np.empty((0, SUMS))
-        self._table = np.empty(0, np.int64)
-
-    @property
-    def keys(self):
-        return self._keys[: self._count]
-
-    @property
-    def sums(self):
-        return self._sums[: self._count]
-
-    def add(self, view, middle, radius):
-        """Add the samples of a view to the sums of their voxels."""
-        room = self._count + view.depth.size
-        if room > len(self._keys):
-            size, keys, sums = 2 * room, self.keys, self.sums
-            self._keys, self._sums = np.empty(size, np.int64), np.zeros((size, SUMS))
-            self._keys[: len(keys)], self._sums[: len(sums)] = keys, sums
-            self._table = np.full(1 << (2 * size).bit_length(), -1, np.int64)
-            fill_table(self.keys, self._table)
-        self._count = add_view(
-            view, middle, radius, np.float32(self.side), self._count, self._table, self._keys,
-            self._sums,
-        )  # fmt: skip
-
-
-@serial_kernel
-def fill_table(keys, table_out):
-    """Enter keys into an empty hash table, whose length is a power of two."""
-    mask = len(table_out) - 1
-    for n in range(len(keys)):
-        at = ((keys[n] * 0x9E3779B1) ^ (keys[n] >> 29)) & mask
-        while table_out[at] >= 0:
-            at = (at + 1) & mask
-        table_out[at] = n
-
-
 @serial_kernel
 def add_view(view: DepthView, middle, radius, voxel, count, table_out, keys_out, sums_out):
     """Add a view's samples to voxels, and return how many voxels there are.
 
-    table_out, keys_out, sums_out
-        See `_Voxels`.
+    voxel : float32 [m]. Side of the finest.
+    count : int. Voxels so far.
+    table_out : int32 array. Hash table of their numbers, -1 where none is; its
+        length is a power of two.
+    keys_out : int64 array (n,). Level and place of each voxel.
+    sums_out : float64 array (n, SUMS)
     """
     height, width = view.depth.shape
     mask = len(table_out) - 1
@@ -333,7 +287,21 @@ def planes(position, towards, size, plain):
         part = order[part]
         away, near = tree.query(position[part], k=k)
         nearest[part] = near[:, :AROUND]
-        fit_planes(part, away, near, position, towards, size, plain, normal, flat, smooth)
+        side, here = size[part], position[part].astype(np.float64)
+        weight = np.exp(-0.5 * (away / (2 * side[:, None])) ** 2)
+        weight /= weight.sum(axis=1, keepdims=True)
+        off = position[near].astype(np.float64)
+        mean = (weight[:, None] @ off)[:, 0]
+        off -= mean[:, None]
+        value, axes = np.linalg.eigh((weight[..., None] * off).transpose(0, 2, 1) @ off)
+        thick, wide = 2 * np.sqrt(np.maximum(value[:, :2], 0)).T / side
+        up = axes[:, :, 0]
+        even = np.clip(2 - thick / (ROUND + (PLAIN_ROUND - ROUND) * plain[part]), 0, 1)
+        even *= np.minimum(wide, 1)
+        facing, lift = ((up * v).sum(axis=1) for v in (towards[part], mean - here))
+        normal[part] = np.where(facing < 0, -1, 1)[:, None] * up
+        smooth[part] = here + (even * lift)[:, None] * up
+        flat[part] = even
 
     def typical(part):
         middle[part] = np.median(flat[nearest[part]], axis=1)
@@ -342,72 +310,3 @@ def planes(position, towards, size, plain):
     middle = np.empty_like(flat)
     in_blocks(typical, count)
     return normal, middle, smooth
-
-
-@serial_kernel
-def fit_planes(part, away, near, position, towards, size, plain, normal_out, flat_out, smooth_out):
-    """Fit planes to the surroundings of some places of `planes`, whose outputs these are.
-
-    away, near : arrays (m, k). Distances [m] and numbers of the places next to
-        each of `part`, (m,).
-    """
-    mean, off, weight = np.empty(3), np.empty(3), np.empty(near.shape[1])
-    spread, axes = np.empty((3, 3)), np.empty((3, 3))
-    for m in range(len(part)):
-        n = part[m]
-        mean[:], spread[:] = 0, 0
-        for k in range(len(weight)):
-            weight[k] = math.exp(-0.5 * (away[m, k] / (2 * size[n])) ** 2)
-            for i in range(3):
-                mean[i] += weight[k] * position[near[m, k], i]
-        mean /= weight.sum()
-        for k in range(len(weight)):
-            for i in range(3):
-                off[i] = position[near[m, k], i] - mean[i]
-            for i in range(3):
-                for j in range(3):
-                    spread[i, j] += weight[k] * off[i] * off[j]
-        spread /= weight.sum()
-        diagonalize(spread, axes)
-        first = 0
-        for i in range(1, 3):
-            first = i if spread[i, i] < spread[first, first] else first
-        second = min(spread[(first + 1) % 3, (first + 1) % 3], spread[first - 1, first - 1])
-        up, facing, lift = axes[:, first], 0.0, 0.0
-        for i in range(3):
-            facing += up[i] * towards[n, i]
-            lift += up[i] * (mean[i] - position[n, i])
-        limit = ROUND + (PLAIN_ROUND - ROUND) * plain[n]
-        even = min(max(2 - 2 * math.sqrt(max(spread[first, first], 0)) / size[n] / limit, 0), 1)
-        even *= min(2 * math.sqrt(max(second, 0)) / size[n], 1)
-        for i in range(3):
-            normal_out[n, i] = -up[i] if facing < 0 else up[i]
-            smooth_out[n, i] = position[n, i] + np.float32(even * lift * up[i])
-        flat_out[n] = even
-
-
-@device_function
-def diagonalize(matrix, axes_out):
-    """Turn a symmetric matrix (3, 3) into its diagonal form in place, by Jacobi's rotations.
-
-    The columns of `axes_out` are then the eigenvectors.
-    """
-    for i in range(3):
-        for j in range(3):
-            axes_out[i, j] = 1.0 if i == j else 0.0
-    for turn in range(3 * SWEEPS):
-        p, q = turn % 3, (turn + 1) % 3
-        if matrix[p, q] == 0:
-            continue
-        slope = (matrix[q, q] - matrix[p, p]) / (2 * matrix[p, q])
-        tangent = math.copysign(1 / (abs(slope) + math.sqrt(slope * slope + 1)), slope)
-        cosine = 1 / math.sqrt(tangent * tangent + 1)
-        sine = tangent * cosine
-        for k in range(3):
-            x, y = matrix[k, p], matrix[k, q]
-            matrix[k, p], matrix[k, q] = cosine * x - sine * y, sine * x + cosine * y
-            x, y = axes_out[k, p], axes_out[k, q]
-            axes_out[k, p], axes_out[k, q] = cosine * x - sine * y, sine * x + cosine * y
-        for k in range(3):
-            x, y = matrix[p, k], matrix[q, k]
-            matrix[p, k], matrix[q, k] = cosine * x - sine * y, sine * x + cosine * y

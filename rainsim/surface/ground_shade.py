@@ -296,11 +296,7 @@ def _confirmed(smooth, seen, shade, ratio):
     out = -slope[edge] / np.maximum(np.linalg.norm(slope[edge], axis=1), 1e-6)[:, None]
     step = np.zeros((len(place), 3))
     known, good = np.zeros((2, len(place)), bool)
-    for away in (
-        EDGE,
-        2 * EDGE,
-        3 * EDGE,
-    ):  # the edge of a blurred shadow is wide: the larger step counts
+    for away in (EDGE, 2 * EDGE, 3 * EDGE):  # a blurred edge is wide: the larger step counts
         lit = tuple(np.rint(place + away * out).astype(int).T)
         dark = tuple(np.rint(place - away * out).astype(int).T)
         fits = seen[lit] & seen[dark] & ~shade[lit]

@@ -22,7 +22,6 @@ from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, 
 from rainsim.surface.wall_parts import laid_on_walls
 
 KIND = "surface"
-SHADE, BARED = "shade ", "unveiled "  # before the names of what is kept of them
 FEWEST = 100  # splats
 STEPS = 4  # of some seconds, in which a surface is found
 # Shares of the light that a splat gives to pictures, that goes to the sky: of one that is sky, and
@@ -60,7 +59,7 @@ class Found(NamedTuple):
     unveiled: Unveiled | None = None  # by leaving out the sky
 
 
-OWN = "sky", "aloft", "middle", "solid", "open"  # arrays of a `Found` itself
+PARTS = {"surface": CaptureSurface, "shade": GroundShade, "unveiled": Unveiled}  # of a `Found`
 _last = [None, None]  # name of the result that was asked for last, and the result
 
 
@@ -71,32 +70,33 @@ def kept_surface(scene, step=lambda: None):
     """
     if len(scene.splats) < FEWEST:
         return None
-    name = cache.name_of(KIND, scene.splats, scene.ground_frame, scene.cameras)
+    inputs = scene.splats, scene.ground_frame, scene.cameras
+    name = cache.name_of(*inputs)
     if _last[0] != name:
-        entry = cache.read(KIND, name)
-        if entry is None:
-            found = find_surface(scene, step)
-            arrays = {name: getattr(found, name) for name in OWN}
-            arrays |= found.surface._asdict()
-            if found.unveiled is not None:
-                arrays |= {BARED + key: a for key, a in found.unveiled._asdict().items()}
-            facts = {"half": found.half}
-            for key, value in () if found.shade is None else found.shade._asdict().items():
-                (arrays if isinstance(value, np.ndarray) else facts)[SHADE + key] = value
-            cache.write(KIND, name, facts, arrays)
-        else:
-            facts, arrays = entry
-            own = [arrays.pop(name) for name in OWN]
-            shade = None
-            if SHADE + "area" in facts:
-                kept = facts | {key: arrays.pop(key) for key in list(arrays) if SHADE in key}
-                shade = GroundShade(*(kept[SHADE + key] for key in GroundShade._fields))
-            bared = None
-            if BARED + "which" in arrays:
-                bared = Unveiled(*(arrays.pop(BARED + key) for key in Unveiled._fields))
-            found = Found(CaptureSurface(**arrays), *own, facts["half"], shade, bared)
-        _last[:] = name, found
+        kept = cache.kept(KIND, lambda: _packed(find_surface(scene, step)), *inputs)
+        _last[:] = name, _unpacked(*kept)
     return _last[1]
+
+
+def _packed(found):
+    """Return a `Found` as the facts and arrays of an entry; names of parts stand before theirs."""
+    values = found._asdict()
+    for name in PARTS:
+        part = values.pop(name)
+        values |= {} if part is None else {f"{name} {k}": v for k, v in part._asdict().items()}
+    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    return {name: value for name, value in values.items() if name not in arrays}, arrays
+
+
+def _unpacked(facts, arrays):
+    """Return the `Found` of an entry."""
+    values = facts | arrays
+    for name, kind in PARTS.items():
+        fields = {key: f"{name} {key}" for key in kind._fields}
+        there = fields[kind._fields[0]] in values
+        part = kind(**{k: values.pop(n) for k, n in fields.items()}) if there else None
+        values[name] = part
+    return Found(**values)
 
 
 def find_surface(scene, step=lambda: None):
@@ -118,7 +118,7 @@ def find_surface(scene, step=lambda: None):
     step()
     surface = beside(fused, views, middle, half)
     pictures = list(zip(views, cameras, parts, strict=True))
-    every = -(-len(pictures) // MOST_PICTURES)
+    every, weighed = -(-len(pictures) // MOST_PICTURES), None
     if colors.color is not None:
         weighed = _weighed(scene, rasterizer, pictures, every)
     surface = surface()
@@ -126,9 +126,10 @@ def find_surface(scene, step=lambda: None):
     near = _nearest(surface.position, position, good)
     sky = np.zeros(len(position), bool)
     casters, aloft, bared = good, np.full(len(position), not scene.cameras), None
-    if colors.color is not None:
+    if weighed is not None:
         *weighed, seen = weighed
-        alone = _alone(near, surface)
+        # Away from every place of the surface.
+        alone = near[0] > ALONE * np.append(surface.size, 1)[near[1]]
         sky, aloft = _sky_splats(scene, views, colors, position, alone, middle, *weighed)
         sky &= good
         if sky.any():
@@ -139,17 +140,8 @@ def find_surface(scene, step=lambda: None):
     solid = _solid(position, near, splats, casters, views, frame, surface)
     picture = ground_picture(views)
     shade = None if picture is None else ground_shade(picture)
-    return Found(
-        surface,
-        sky,
-        aloft,
-        middle,
-        solid,
-        seen_sky(views, [part > 0 for part in parts]),
-        half,
-        shade,
-        bared,
-    )
+    seen = seen_sky(views, [part > 0 for part in parts])
+    return Found(surface, sky, aloft, middle, solid, seen, half, shade, bared)
 
 
 def _solid(position, near, splats, good, views, frame, surface):
@@ -182,17 +174,6 @@ def _solid(position, near, splats, good, views, frame, surface):
     packed = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     reach = 2 * np.log(splats.opacity[which] / STOPS)
     return np.column_stack([position[which], packed, reach]).astype(np.float32)
-
-
-def _directions(position, middle):
-    away = position - middle
-    return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
-
-
-def _alone(near, surface):
-    """Return which splats are away from every place of the surface, bool (n,)."""
-    away, place = near
-    return away > ALONE * surface.size[place] if len(surface.size) else np.ones(len(away), bool)
 
 
 def _nearest(places, position, good=None):
@@ -303,7 +284,7 @@ def _sky_splats(scene, views, colors, position, alone, middle, light, lit, veile
     land, sky, rim, before_sky = light.T
     seen = land + sky + rim
     with np.errstate(invalid="ignore"):  # 0 / 0 of those that no camera sees, and absurd splats
-        direction = _directions(position, middle)
+        direction = _unit(position - middle)
         color = linear(scene.splats.sh[:, 0] * np.float32(SH_0) + np.float32(0.5))
         behind = np.exp(colors.at(direction)) @ LUMINANCE_WEIGHTS
         bright = color @ LUMINANCE_WEIGHTS > BRIGHT * behind

@@ -62,22 +62,19 @@ def offered_cameras(scene):
     'view_00'
     """
     tried = tried_cameras(scene)
-    name = cache.name_of("surface", scene.splats, scene.ground_frame)
+    inputs = scene.splats, scene.ground_frame
+    name = cache.name_of(*inputs)
     if _last[0] != name:
-        _last[:] = name, _best(scene, tried, name)
+        kept = cache.kept_arrays("offered", lambda: {"best": _best(scene, tried)}, *inputs)
+        _last[:] = name, kept["best"]
     return [replace(tried[k], name=f"view_{n:02d}") for n, k in enumerate(_last[1])]
 
 
-def _best(scene, tried, name):
-    """Return the indices of the cameras that are offered, from an earlier run if there was one."""
-    kept = cache.read("views", name)
-    if kept is not None:
-        return kept[1]["best"]
+def _best(scene, tried):
+    """Return the indices of the cameras that are offered."""
     score = scores(scene, tried)
     best = np.argsort(-score, kind="stable")[:OFFERED]
-    best = best[score[best] >= NEARLY * score[best[0]]]
-    cache.write("views", name, {}, {"best": best})
-    return best
+    return best[score[best] >= NEARLY * score[best[0]]]
 
 
 def tried_cameras(scene):

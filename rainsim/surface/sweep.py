@@ -48,11 +48,6 @@ class TexturePicture(NamedTuple):
     texture: np.ndarray  # (height, width) float32: log luminance without its mean around
 
 
-def ground_sweep(scene, found):
-    """Return the `GroundSweep` of a scene whose surface is known, None if it has none."""
-    return None if found is None else GroundSweep(scene, found.surface)
-
-
 class GroundSweep:
     """The pictures of a capture with cameras, in which heights of its ground are tried.
 

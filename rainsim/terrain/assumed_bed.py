@@ -295,12 +295,8 @@ def bed_of(patches, color, known, grid, level):
     )
     color, known = color[np.ix_(row, column)], known[np.ix_(row, column)]
     green = 2 * color[..., 1] - color[..., 0] - color[..., 2]
-    coarse = (values[:: max(1, round(CELL / grid.spacing))] for values in (x, y))
-    x0, y0 = (np.append(values, last[-1]) for values, last in zip(coarse, (x, y), strict=True))
-    heights = level(*np.meshgrid(x0, y0)).reshape(len(y0), len(x0))
-    across = np.stack([np.interp(x, x0, row) for row in heights])
-    bed = np.stack([np.interp(y, y0, column) for column in across.T], axis=1)
-    bed = (bed + roughness(grid) - settled(grid)).astype(np.float32)
+    heights = level(*np.meshgrid(x, y)).reshape(grid.shape)
+    bed = (heights + roughness(grid) - settled(grid)).astype(np.float32)
     source = np.where(known, INFERRED, UNKNOWN).astype(np.uint8)
     return bed, source, np.zeros(grid.shape, np.float32), color, green
 

@@ -4,24 +4,23 @@ What lies near the bed, seen from above, gives the ground even under a table; ev
 ceiling, seen from above, gives the tops of occluders; the same seen from below their undersides.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
 from skimage.morphology import remove_small_objects
 
-from rainsim import raster
 from rainsim.errors import GroundError, ParameterError
 from rainsim.lod.held_parts import scene_over
 from rainsim.scene.ground import STRAY
-from rainsim.scene.types import Camera, pose_at
 from rainsim.surface.kept_surface import STEPS as SURFACE_STEPS
 from rainsim.surface.kept_surface import kept_surface
-from rainsim.surface.sweep import ground_sweep
+from rainsim.surface.sweep import GroundSweep
 from rainsim.terrain import assumed_bed, filters, types
 from rainsim.terrain import bed as bedding
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains, painted_mask
 from rainsim.terrain.map_size import choose_grid
+from rainsim.terrain.pictures import Seen, seen_straight
 from rainsim.terrain.pond import fill_ponds
 from rainsim.terrain.slab import FAINT, SLAB, follow_ground, lonely, splat_cover
 from rainsim.terrain.table import GRASS, HARD
@@ -34,7 +33,6 @@ SMALLEST_TOP = 2e-3  # m2 of a thing that shelters the ground
 CEILING_OVER_CAMERAS = 1.0  # m: what is higher was hardly seen by any camera
 CEILING_WITHOUT_CAMERAS = 4.0  # m above the ground
 PIECE = 4_500_000  # cells of a map that are made at once, with their margins; some 800 MB
-STEPS = 6  # that each part is made in, of some seconds for a million cells
 MARGIN = 2.0  # m about the cells of a part that are made with them: nothing reaches farther
 NEAR_BED = 0.03  # m, and four times the noise: what is farther from the first bed stands on it
 LARGEST_SHIFT, SHIFT_WIDTH = 0.02, 0.05  # m, by which overlapping splats may hide the ground
@@ -62,18 +60,17 @@ def extract_terrain(scene, config, mask=None, tell=None):
         )
     scene = scene_over(scene, grid)
     parts = list(pieces(grid))
-    step = _steps(tell, notes, SURFACE_STEPS + STEPS * len(parts) + 2)
+    step = _steps(tell, notes, SURFACE_STEPS + len(parts) + 2)
     cloud = _Cloud(scene, grid, step=step)
     step(SURFACE_STEPS + 1)
     maps = _empty_maps(grid)
     left_out = np.zeros(len(cloud.position), bool)
-    for core, inner, piece in parts:
-        found = _piece(scene, cloud, piece, None if mask is None else mask[piece.cells], step)
+    for core, inner, cells, part in parts:
+        found, off = _arrays(scene, cloud, part, None if mask is None else mask[cells])
+        left_out |= off
         for name, values in found.items():
-            if name == "left_out":
-                left_out |= values
-            else:
-                maps[name][core] = values[inner]
+            maps[name][core] = values[inner]
+        step()
     source, bed, top, underside = (maps[n] for n in ("source", "bed", "top", "underside"))
     if (seen := np.mean(source != UNKNOWN)) < LEAST_GROUND and (cloud.poor is None or not seen):
         raise GroundError(
@@ -109,28 +106,26 @@ def arrays_over(scene, grid, level):
     """
     mask = None if scene.painted is None else painted_mask(scene.painted, grid)
     scene = scene_over(scene, grid)
-    over = _over(scene, grid)
-    if not over[2].any():
+    places = _places(scene)
+    if not _reaching(*places, grid).any():
         return None
-    cells = tuple(slice(0, n) for n in grid.shape)
-    found = _piece(scene, _Cloud(scene, grid, level, over), Piece(grid, cells), mask, lambda: None)
-    del found["left_out"]
-    return found
+    return _arrays(scene, _Cloud(scene, grid, level, places), grid, mask)[0]
 
 
-def _over(scene, grid):
-    """Return places and reaches [m] of splats in the ground frame; the mask of those over a map."""
+def _places(scene):
+    """Return places (n, 3) and reaches (n,) of splats in the ground frame [m]."""
     frame = scene.ground_frame
     with np.errstate(invalid="ignore"):
         position = frame.to_ground(scene.splats.position)
-        reach = 3 * scene.splats.scale.max(axis=1) * frame.meters_per_unit
-        x0, y0 = grid.origin
-        width, depth = grid.size
-        over = (
-            (position[:, 0] + reach > x0) & (position[:, 0] - reach < x0 + width)
-            & (position[:, 1] + reach > y0) & (position[:, 1] - reach < y0 + depth)
-        )  # fmt: skip
-    return position, reach, over
+        return position, 3 * scene.splats.scale.max(axis=1) * frame.meters_per_unit
+
+
+def _reaching(position, reach, grid):
+    """Return the mask of the splats that reach over a grid, see `_places`."""
+    low, high = np.array(grid.origin), np.array(grid.origin) + grid.size
+    with np.errstate(invalid="ignore"):
+        after = position[:, :2] + reach[:, None] > low
+        return (after & (position[:, :2] - reach[:, None] < high)).all(axis=1)
 
 
 def _steps(tell, notes, total):
@@ -148,20 +143,13 @@ def _steps(tell, notes, total):
     return step
 
 
-@dataclass(frozen=True)
-class Piece:
-    """A part of a map: its `Grid`, and its `cells` in the whole map (slices of rows, columns)."""
-
-    grid: Grid
-    cells: tuple
-
-
 def pieces(grid, most=None):
     """Yield the parts in which a map is made, so that memory grows only with what is kept.
 
     Each overlaps its neighbours by a margin, wider than what cells know of each other. A part whose
-    margins are wider than itself would cost more than it saves: else one has `most` cells. With a
-    `Piece` come the cells that it is for: slices in the whole map and in the part.
+    margins are wider than itself would cost more than it saves: else one has `most` cells. Each is
+    the cells that it is for, slices in the whole map and in the part; all of its cells, slices in
+    the whole map; and its `Grid`.
     """
     margin = round(MARGIN / grid.spacing)
     number = [1, 1]
@@ -188,7 +176,7 @@ def pieces(grid, most=None):
             origin.append(grid.origin[1 - axis] + start * grid.spacing)
         shape = tuple(c.stop - c.start for c in cells)
         part = Grid(shape, tuple(origin[::-1]), grid.spacing)
-        yield tuple(core), tuple(inner), Piece(part, tuple(cells))
+        yield tuple(core), tuple(inner), tuple(cells), part
 
 
 def _empty_maps(grid):
@@ -198,37 +186,26 @@ def _empty_maps(grid):
     return maps | {"color": np.empty((*grid.shape, 3), np.float32)}
 
 
-def _piece(scene, cloud, piece, mask, step):
-    """Return the arrays of a `Terrain` on a part of the map, and which splats were left out.
-
-    `step()` is called STEPS times.
-    """
-    grid = piece.grid
-    over = cloud.over(grid)
+def _arrays(scene, cloud, grid, mask):
+    """Return the arrays of a `Terrain` on a part of the map, and which splats were left out."""
+    over = _reaching(cloud.position, cloud.reach, grid)
     near = cloud.near_bed & over
     off = np.zeros_like(near)
     if cloud.poor is not None:
         bed, source, noise, color, green = cloud.poor.bed(grid)
         bed, top, underside = cloud.poor.cover(cloud.places, grid, bed, cloud.top)
-        for _ in range(STEPS - 1):
-            step()
     else:
         ground = cloud.look(near, grid)
-        step()
         if (ground.alpha > MIN_SEEN_ALPHA).any():
             off = _floaters(cloud, ground, grid) & near
         kept = near & ~off
         if off.any():
             ground = cloud.look(kept, grid)
-        step()
         below = cloud.look(kept, grid, from_below=True)
         bed, source, noise, color, green = _bed(ground, below, grid, cloud.level, cloud.sweep)
-        step()
         upper = cloud.look(cloud.below_ceiling & over, grid)
-        step()
         lower = cloud.look(cloud.overhead & over, grid, from_below=True)
         top, underside = _cover(upper, lower, bed, grid.cell_area)
-        step()
     classes = classify(bed, top, source, noise, color, green, grid.spacing)
     classes = mark_drains(classes, grid, scene)
     if mask is not None:
@@ -237,8 +214,7 @@ def _piece(scene, cloud, piece, mask, step):
     # The soil under grass lies lower; what stands in the grass stands on it.
     soil = bed if cloud.poor is not None else cloud.soil(bed, classes, grid)
     lowered = soil < bed
-    step()
-    return {
+    found = {
         "bed": soil,
         "top": np.where(lowered & (top == bed), soil, top),
         "underside": np.where(lowered & (underside == bed), soil, underside),
@@ -246,8 +222,8 @@ def _piece(scene, cloud, piece, mask, step):
         "ground_class": classes,
         "noise": noise,
         "color": color,
-        "left_out": off,
     }
+    return found, off
 
 
 def _report(terrain, removed, mask):
@@ -261,8 +237,9 @@ def _report(terrain, removed, mask):
         f"noise of the paving {terrain.hard_noise * 1e3:.2f} mm"
     )
     if terrain.layer.size:
+        off = np.abs(terrain.layer).max()
         yield (
-            f"PUDDLES ARE ASSUMED: the splats of the ground lie up to {terrain.layer.max():.2g} m "
+            f"PUDDLES ARE ASSUMED: the splats of the ground lie up to {off:.2g} m "
             "off it: its bed has an average road's roughness, settled stones, lower feet of walls"
         )
     names = class_table().names
@@ -274,30 +251,19 @@ def _report(terrain, removed, mask):
         yield f"{removed} splats near the bed left out: they float over it or stand on it"
 
 
-@dataclass(frozen=True)
-class Seen:
-    """An orthographic splatting over a grid, row 0 in the south.
-
-    Height [m] and alpha have shape (ny, nx), colour (ny, nx, 3).
-    """
-
-    height: np.ndarray
-    alpha: np.ndarray
-    color: np.ndarray
-
-
 class _Cloud:
     """The splats that lie over a map, as arrays in the ground frame.
 
-    `level`, if given, says where the ground is, see `arrays_over`; else it is followed. `found` is
-    what `_over` returns, if it is known.
+    `level`, if given, says where the ground is, see `arrays_over`; else it is followed. `places`
+    are those of `_places`, if they are known.
     `look` splats a part of them orthographically from above or from below; masks (`near_bed`,
     `below_ceiling`, `overhead`) tell which part.
     """
 
-    def __init__(self, scene, grid, level=None, found=None, step=lambda: None):
+    def __init__(self, scene, grid, level=None, places=None, step=lambda: None):
         self.frame = scene.ground_frame
-        position, reach, over = _over(scene, grid) if found is None else found
+        position, reach = _places(scene) if places is None else places
+        over = _reaching(position, reach, grid)
         (x0, y0), (width, depth) = grid.origin, grid.size
         if not over.any():
             raise GroundError(
@@ -338,8 +304,8 @@ class _Cloud:
         # Generated scenes were not photographed; along a drive pictures take too long.
         photographed = scene.source is not None and scene.cameras and scene.pages is None
         found = kept_surface(scene, step) if photographed else None
-        if photographed and self.poor is None:
-            self.sweep = ground_sweep(scene, found)
+        if found is not None and self.poor is None:
+            self.sweep = GroundSweep(scene, found.surface)
         self.places = self.position if found is None else found.surface.position
         self.notes = ()
         if level.max() - level.min() > SLAB:
@@ -353,29 +319,8 @@ class _Cloud:
         if not which.any():
             empty = np.zeros(grid.shape, np.float32)
             return Seen(empty, empty, np.zeros((*grid.shape, 3), np.float32))
-        spacing, (ny, nx) = grid.spacing, grid.shape
-        if from_below:
-            eye = (*grid.origin, self.floor)
-            axes, flip, sign = np.eye(3), slice(None), 1
-        else:
-            eye = (grid.origin[0], grid.origin[1] + grid.size[1], self.top)
-            axes = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])
-            flip, sign = slice(None, None, -1), -1  # pictures begin in the north
-        scale, pose = 1 / spacing, pose_at(axes, eye)
-        camera = Camera(nx, ny, scale, scale, 0.0, 0.0, pose, orthographic=True)
-        prepared = raster.prepare(self.splats.take(which))
-        layers = raster.rasterize(prepared, self.frame.camera_in_capture(camera), near=0.0)
-        height = eye[2] + sign * layers.depth * self.frame.meters_per_unit
-        return Seen(height[flip], layers.alpha[flip], layers.color[flip])
-
-    def over(self, grid):
-        """Return the mask of the splats that reach over a grid."""
-        inside = np.ones(len(self.position), bool)
-        for axis in (0, 1):
-            low, high = grid.origin[axis], grid.origin[axis] + grid.size[axis]
-            inside &= self.position[:, axis] + self.reach > low
-            inside &= self.position[:, axis] - self.reach < high
-        return inside
+        height = self.floor if from_below else self.top
+        return seen_straight(self.splats.take(which), self.frame, grid, height, from_below)
 
     def soil(self, bed, classes, grid):
         """Return the bed with the grass taken off."""

@@ -10,14 +10,13 @@ from rainsim.io.arrays import TEXT, Field, read_arrays, write_arrays
 from rainsim.io.rasters import SCALE, TIE, Raster, write_raster
 from rainsim.terrain.map_size import MOST_CELLS
 from rainsim.terrain.table import DRAIN
-from rainsim.terrain.types import MEASURED, NO_TOPS, Grid, Terrain, Tops
+from rainsim.terrain.types import MEASURED, TOPS, Terrain
 
 VERSION = 1
 WHAT, REMEDY = "height map", "`rainsim heightmap` writes it; write it again"
 LEAST_CELLS = 3  # in a row
 HEIGHT = 1e5  # m, of the highest and deepest ground; maps of heights have the same limit
 NEAR = 1e-3  # m by which rounded heights may lie in the wrong order
-_TOPS = "tops_"  # begins the names of the arrays of `Tops`; not in the files of old versions
 
 _MAP = ("ny", "nx")
 _LENGTH = {"low": -1e7, "high": 1e7}  # m
@@ -29,20 +28,17 @@ _ARRAYS = {
     "ground_class": Field("uint8", _MAP, 0, DRAIN),
     "noise": Field("float32", _MAP, 0, HEIGHT),
     "color": Field("float32", (*_MAP, 3), -100, 100),
-}
-_LATER = ("water", "standing", "poured", "layer")  # that not all files have
-_OTHERS = {
     "standing": Field("float32", _MAP, 0, HEIGHT, needed=False),
     "poured": Field("float32", _MAP, 0, HEIGHT, needed=False),
-    "water": Field("float32", _MAP, 0, HEIGHT, needed=False),  # not in the files of old versions
-    "layer": Field("float32", ("layer rows", "layer columns"), 0, HEIGHT, needed=False),
+    "water": Field("float32", _MAP, 0, HEIGHT, needed=False),
+    "layer": Field("float32", ("layer rows", "layer columns"), -HEIGHT, HEIGHT, needed=False),
     "origin": Field("float64", (2,), **_LENGTH),
     "spacing": Field("float64", (), 1e-5, 1e3),
     "notes": Field(TEXT, ("notes",)),
 }
 _TOP_ARRAYS = {
     "index": Field("int16", ("top rows", "top columns"), -1),
-    "surface": Field("float64", ("tops", 6), -HEIGHT, HEIGHT),
+    "surface": Field("float64", ("tops", "terms"), -HEIGHT, HEIGHT),
     "centre": Field("float64", ("tops", 2), **_LENGTH),
     "area": Field("float64", ("tops",), 0, 1e9),
     "patch": Field("int64", ("tops", 3), 0),
@@ -72,15 +68,8 @@ def write_terrain(folder, terrain):
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = {name: getattr(terrain, name) for name in (*_ARRAYS, *_LATER)}
-    arrays = {name: values for name, values in arrays.items() if np.size(values) > 1}
-    arrays |= {_TOPS + name: values for name, values in terrain.tops.arrays().items()}
     grid = terrain.grid
-    arrays |= {
-        "origin": np.array(grid.origin, np.float64), "spacing": np.float64(grid.spacing),
-        "notes": np.array(terrain.notes, dtype=np.str_),
-    }  # fmt: skip
-    write_arrays(folder / "terrain.npz", VERSION, arrays)
+    write_arrays(folder / "terrain.npz", VERSION, terrain.arrays())
     corner = grid.origin[0], grid.origin[1] + grid.shape[0] * grid.spacing, 0.0
     tags = {SCALE: (grid.spacing, grid.spacing, 0.0), TIE: (0.0, 0.0, 0.0, *map(float, corner))}
     like = Raster(None, kind=".tif", tags=tags)
@@ -106,9 +95,8 @@ def read_terrain(folder):
     """
     path = Path(folder)
     path = path / "terrain.npz" if path.is_dir() else path
-    table = _ARRAYS | _OTHERS
-    table |= {_TOPS + name: replace(field, needed=False) for name, field in _TOP_ARRAYS.items()}
-    found = read_arrays(path, WHAT, table, VERSION, REMEDY)
+    tops = {TOPS + name: replace(field, needed=False) for name, field in _TOP_ARRAYS.items()}
+    found = read_arrays(path, WHAT, _ARRAYS | tops, VERSION, REMEDY)
     shape = found["bed"].shape
     if min(shape) < LEAST_CELLS or shape[0] * shape[1] > MOST_CELLS:
         raise _wrong(path, f"has {shape[1]} x {shape[0]} cells", f"{LEAST_CELLS} x {LEAST_CELLS} "
@@ -116,11 +104,10 @@ def read_terrain(folder):
     _check_heights(path, found)
     if "layer" in found and found["layer"].shape not in (shape, (0, 0)):
         raise _wrong(path, f"has a layer of shape {found['layer'].shape}", f"{shape} or (0, 0)")
-    tops = _tops(path, found, shape)
-    grid = Grid(shape, tuple(found["origin"].tolist()), float(found["spacing"]))
-    arrays = {name: found[name] for name in _ARRAYS}
-    arrays |= {name: found[name] for name in _LATER if name in found}
-    return Terrain(grid, **arrays, notes=tuple(found["notes"]), tops=tops)
+    _check_tops(path, found, shape)
+    if TOPS + "surface" in found:  # old versions wrote squares besides, which were zero
+        found[TOPS + "surface"] = found[TOPS + "surface"][:, :3]
+    return Terrain.from_arrays(found)
 
 
 def _wrong(path, fact, rule):
@@ -135,17 +122,17 @@ def _check_heights(path, found):
                      "underside <= top")  # fmt: skip
 
 
-def _tops(path, found, shape):
-    """Return the tops of a file's arrays, checked against each other and the map's shape."""
-    arrays = {name: found[_TOPS + name] for name in _TOP_ARRAYS if _TOPS + name in found}
+def _check_tops(path, found, shape):
+    """Raise InputError unless the arrays of the tops, if any, fit each other and the map."""
+    arrays = {name: found[TOPS + name] for name in _TOP_ARRAYS if TOPS + name in found}
     if not arrays:
-        return NO_TOPS
+        return
     if len(arrays) < len(_TOP_ARRAYS):
         raise _wrong(path, "has a part of the tops only", "all of their arrays or none")
     count, (rows, columns) = len(arrays["surface"]), arrays["relief"].shape
     index, patch = arrays["index"], arrays["patch"]
     fits = index.shape == (shape if count else (0, 0)) and (index < count).all()
+    fits &= arrays["surface"].shape[1] >= 3
     fits &= (patch[:, 0] + patch[:, 1] <= rows).all() and (patch[:, 2] <= columns).all()
     if not fits or not arrays["relief"].size:
         raise _wrong(path, "has tops that do not fit together", "their cells and patches in place")
-    return Tops.from_arrays(arrays)

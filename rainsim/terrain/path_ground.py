@@ -85,10 +85,10 @@ class PathGround:
         corner = x - margin * spacing, y - margin * spacing
         wide = Grid((ny + 2 * margin, nx + 2 * margin), corner, spacing)
         maps = {}
-        for core, inner, piece in pieces(wide, PIECE):
-            found = arrays_over(scene, piece.grid, self.height)
+        for core, inner, _, part in pieces(wide, PIECE):
+            found = arrays_over(scene, part, self.height)
             if found is None:
-                found = self._unseen(piece.grid)
+                found = self._unseen(part)
             for name in MAPS:
                 whole = maps.setdefault(name, np.empty(wide.shape, found[name].dtype))
                 whole[core] = found[name][inner]

@@ -1,10 +1,13 @@
 """Pictures to look at: classes and puddles from above, the ground's grid through a camera."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from rainsim.errors import ParameterError
+from rainsim.scene.cameras import resize_to
+from rainsim.scene.types import Camera, pose_at
 from rainsim.scene.view import pixel_rays
 from rainsim.terrain.pond import without_images
 from rainsim.terrain.table import class_table
@@ -83,8 +86,7 @@ def through_camera(scene, terrain, camera, depth=None):
     """
     from rainsim import raster
 
-    width = min(CHECK_WIDTH, camera.width)
-    camera = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+    camera = resize_to(camera, min(CHECK_WIDTH, camera.width))
     frame, grid = scene.ground_frame, terrain.grid
     scene = without_images(scene, terrain)
     layers = raster.rasterize(raster.prepare(scene.splats), camera, near=0.05)
@@ -116,8 +118,7 @@ def points_at(splats, camera, pixels):
     """
     from rainsim import raster
 
-    width = CHECK_WIDTH
-    small = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+    small, width = resize_to(camera, CHECK_WIDTH), CHECK_WIDTH
     layers = raster.rasterize(raster.prepare(splats), small, near=1e-3)
     points, _ = seen_points(small, layers.plane_depth)
     found = []
@@ -143,6 +144,36 @@ def seen_points(view, depth):
     depth = np.where(np.isfinite(depth), depth, 1e4)[..., None]
     points = view.position + (ray * depth) @ view.camera_from_world[:3, :3]
     return points, np.linalg.norm(ray, axis=-1) * depth[..., 0]
+
+
+class Seen(NamedTuple):
+    """An orthographic splatting over a grid, row 0 in the south."""
+
+    height: np.ndarray  # (ny, nx) [m]
+    alpha: np.ndarray  # (ny, nx)
+    color: np.ndarray  # (ny, nx, 3)
+
+
+def seen_straight(splats, frame, grid, height, from_below=False, plane=False):
+    """Return what splats show on a grid from a height [m] straight down, or up, as `Seen`.
+
+    With `plane` the heights are those of the splats' planes.
+    """
+    from rainsim import raster
+
+    axes, eye, flip, sign = np.eye(3), (*grid.origin, height), slice(None), 1
+    if not from_below:  # pictures begin in the north
+        axes, flip, sign = np.diag([1.0, -1.0, -1.0]), slice(None, None, -1), -1
+        eye = (grid.origin[0], grid.origin[1] + grid.size[1], height)
+    scale = 1 / grid.spacing
+    camera = Camera(
+        *grid.shape[::-1], scale, scale, 0.0, 0.0, pose_at(axes, eye), orthographic=True
+    )
+    layers = raster.rasterize(raster.prepare(splats), frame.camera_in_capture(camera), near=0.0)
+    depth = layers.plane_depth if plane else layers.depth
+    with np.errstate(invalid="ignore"):
+        height = eye[2] + sign * depth * frame.meters_per_unit
+    return Seen(height[flip], layers.alpha[flip], layers.color[flip])
 
 
 def _bytes(picture):

@@ -7,6 +7,7 @@ import numpy as np
 from rainsim.errors import InputError, ParameterError, require_positive
 from rainsim.io.files import require_file
 from rainsim.jit import serial_kernel
+from rainsim.scene.plyheader import HEADER_LIMIT, TYPES
 from rainsim.terrain.bed import inpaint, local_noise
 from rainsim.terrain.map_size import MOST_CELLS, choose_spacing
 from rainsim.terrain.table import GRASS, HARD
@@ -16,12 +17,6 @@ MAPS = (".tif", ".tiff", ".asc")
 GREY = 0.5  # colour of what has none
 LONGEST_COUNT = 19  # digits of a number of rows, as in `rainsim.scene.plyheader`
 FARTHEST = 1e9  # units, from the origin, of a mesh; more is damage
-HEADER_LIMIT = 65536  # bytes of a PLY header
-_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
-    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
 
 
 def is_surface(path):
@@ -198,10 +193,8 @@ def _read_ply(path):
         elif words[:1] == ["property"] and elements:
             elements[-1][2].append(words[1:])
     try:
-        if form == "ascii":
-            return _checked(path, *_ply_text(body.decode("ascii").split(), elements))
-        order = {"binary_little_endian": "<", "binary_big_endian": ">"}[form]
-        return _checked(path, *_ply_binary(body, elements, order))
+        order = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}[form]
+        return _checked(path, *_mesh_of(body, elements, order))
     except (ArithmeticError, IndexError, KeyError, MemoryError, TypeError, ValueError):
         raise InputError(
             f"{path} is no mesh that can be read: a PLY with vertices x, y, z and lists of faces, "
@@ -214,50 +207,43 @@ def _is_count(word):
     return word.isdecimal() and len(word) < LONGEST_COUNT
 
 
-def _ply_text(words, elements):
-    at, points, triangles = 0, None, []
-    for name, count, properties in elements:
-        if name == "vertex":
-            table = np.array(words[at : at + count * len(properties)], float).reshape(count, -1)
-            at += count * len(properties)
-            points = table[:, [[p[-1] for p in properties].index(axis) for axis in "xyz"]]
-        elif name == "face":
-            for _ in range(count):
-                size = int(words[at])
-                corner = [int(w) for w in words[at + 1 : at + 1 + size]]
-                at += 1 + size
-                triangles += [(corner[0], corner[k], corner[k + 1]) for k in range(1, size - 1)]
-        else:
-            raise ValueError(name)
-    return points, triangles
+def _mesh_of(body, elements, order):
+    """Return points and triangles of the elements in a PLY's body; `order` is None for text."""
+    data, at = body.split() if order is None else body, 0
+    points, triangles = None, []
 
-
-def _ply_binary(body, elements, order):
-    at, points, triangles = 0, None, []
-    for name, count, properties in elements:
-        if any(p[0] == "list" for p in properties):
-            if name != "face" or len(properties) != 1:
-                raise ValueError(name)
-            size_type, index_type = (np.dtype(order + _TYPES[t]) for t in properties[0][1:3])
-            # Nearly all meshes have triangles only: then the faces are one table.
-            row = np.dtype([("n", size_type), ("i", index_type, 3)])
-            if len(body) - at >= count * row.itemsize:
-                table = np.frombuffer(body, row, count, at)
-                if (table["n"] == 3).all():
-                    triangles, at = table["i"].astype(np.int64), at + count * row.itemsize
-                    continue
-            for _ in range(count):
-                size = int(np.frombuffer(body, size_type, 1, at)[0])
-                at += size_type.itemsize
-                corner = np.frombuffer(body, index_type, size, at).astype(int)
-                at += size * index_type.itemsize
-                triangles += [(corner[0], corner[k], corner[k + 1]) for k in range(1, size - 1)]
+    def rows(types, count):
+        """Return the next `count` rows of numbers, float64 (count, columns)."""
+        nonlocal at
+        if order is None:
+            size = count * len(types)
+            table = np.array(data[at : at + size], float).reshape(count, -1)
         else:
-            row = np.dtype([(p[1], order + _TYPES[p[0]]) for p in properties])
-            table = np.frombuffer(body, row, count, at)
-            at += count * row.itemsize
+            row = np.dtype([(str(k), order + TYPES[t]) for k, t in enumerate(types)])
+            size, found = count * row.itemsize, np.frombuffer(data, row, count, at)
+            table = np.stack([found[name] for name in row.names], axis=1).astype(float)
+        at += size
+        return table
+
+    for name, count, properties in elements:
+        if all(p[0] != "list" for p in properties):
+            table = rows([p[0] for p in properties], count)
             if name == "vertex":
-                points = np.stack([table[axis] for axis in "xyz"], axis=1).astype(float)
+                points = table[:, [[p[1] for p in properties].index(axis) for axis in "xyz"]]
+            continue
+        if name != "face" or len(properties) != 1:
+            raise ValueError(name)
+        start, (size_type, index_type) = at, properties[0][1:3]
+        # Nearly all meshes have triangles only: then the faces are one table.
+        table = rows([size_type, *[index_type] * 3], count)
+        if (table[:, 0] == 3).all():
+            triangles = table[:, 1:]
+            continue
+        at = start
+        for _ in range(count):
+            size = int(rows([size_type], 1).item())
+            corner = rows([index_type], max(size, 0))[:, 0]
+            triangles += [(corner[0], corner[k], corner[k + 1]) for k in range(1, size - 1)]
     return points, triangles
 
 

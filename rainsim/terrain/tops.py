@@ -10,9 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from rainsim import raster
 from rainsim.errors import counted
-from rainsim.scene.types import Camera, pose_at
+from rainsim.terrain.pictures import seen_straight
 from rainsim.terrain.types import NO_TOPS, Grid, Tops
 
 LOWEST, HIGHEST = 0.3, 1.5  # m over the bed: lower things are wetted as ground
@@ -65,10 +64,8 @@ def find_tops(terrain, scene=None):
     level = np.array([top[4] for top in found])
     spacing = max(FINE, grid.spacing / FINER)
     spacing *= max(1.0, np.sqrt(2 * area[level].sum() / spacing**2 / MOST_CELLS))
-    plain = Tops(
-        index, surface, centre, area, np.zeros((len(found), 3), np.int64),
-        np.zeros((len(found), 2)), spacing, NO_TOPS.relief, NO_TOPS.holds,
-    )  # fmt: skip
+    blank = np.zeros((len(found), 3), np.int64), np.zeros((len(found), 2))
+    plain = Tops(index, surface, centre, area, *blank, spacing, NO_TOPS.relief, NO_TOPS.holds)
     return with_patches(plain, level, terrain, scene)
 
 
@@ -104,19 +101,18 @@ def padded(box, cells, shape):
 
 
 def fitted(terrain, box, mask):
-    """Return surface (6,), centre (2,) and whether a flat patch is level; None if it is rough."""
+    """Return surface (3,), centre (2,) and whether a flat patch is level; None if it is rough."""
     x, y = terrain.grid.centres()
     rows, columns = np.nonzero(mask)
     height = terrain.top[box][rows, columns].astype(np.float64)
     x, y = x[box[1]][columns], y[box[0]][rows]
     centre = np.array([x.mean(), y.mean()])
-    terms = terms_of(x - centre[0], y - centre[1])
-    plane, away = robust_fit(terms[:, :3], height)
+    plane, away = robust_fit(terms_of(x - centre[0], y - centre[1]), height)
     slope = np.hypot(*plane[1:])
     # A curved one has no outline in a map of such cells: bonnets keep the gloss of all wet things.
     if not away < ROUGHEST or slope > STEEPEST:
         return None
-    return np.append(plane, np.zeros(3)), centre, bool(slope < LEVEL_SLOPE)
+    return plane, centre, bool(slope < LEVEL_SLOPE)
 
 
 def grown(terrain, box, mask, surface, centre):
@@ -129,22 +125,18 @@ def grown(terrain, box, mask, surface, centre):
     inner = np.zeros([s.stop - s.start for s in wide], bool)
     rows, columns = np.nonzero(mask)
     inner[rows + box[0].start - wide[0].start, columns + box[1].start - wide[1].start] = True
+    reach = EDGE_CELLS + int(MARGIN / terrain.grid.spacing)
     x, y = terrain.grid.centres()
-    around = ndimage.binary_dilation(
-        inner, iterations=EDGE_CELLS + int(MARGIN / terrain.grid.spacing)
-    )
-    rows, columns = np.nonzero(around)
-    x, y = x[wide[1]][columns], y[wide[0]][rows]
-    height = terms_of(x - centre[0], y - centre[1]) @ surface
-    on = np.zeros_like(inner)
+    height = terms_of(*np.meshgrid(x[wide[1]] - centre[0], y[wide[0]] - centre[1])) @ surface
     with np.errstate(invalid="ignore"):
-        on[rows, columns] = np.abs(terrain.top[wide][rows, columns] - height) < FARTHEST
+        on = np.abs(terrain.top[wide] - height) < FARTHEST
+    on &= ndimage.binary_dilation(inner, iterations=reach)
     return wide, ndimage.binary_propagation(inner & on, mask=on) | inner
 
 
 def terms_of(x, y):
-    """Return the six terms of a surface at distances from its centre, (n, 6)."""
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    """Return the three terms of a surface at distances from its centre, (..., 3)."""
+    return np.stack([np.ones_like(x), x, y], axis=-1)
 
 
 def robust_fit(terms, height):
@@ -248,16 +240,10 @@ def seen_from_above(tops, k, grid, scene):
     if not near.any():
         return blank, blank, blank
     splats = replace(scene.splats, sh=scene.splats.sh[:, :1]).take(near)
-    eye = (grid.origin[0], grid.origin[1] + grid.size[1], float(tops.surface[k, 0]) + 1.0)
-    axes = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])  # pictures begin in the north
-    scale, pose = 1 / grid.spacing, pose_at(axes, eye)
-    camera = Camera(*grid.shape[::-1], scale, scale, 0.0, 0.0, pose, orthographic=True)
-    seen = raster.rasterize(raster.prepare(splats), frame.camera_in_capture(camera), near=0.0)
-    with np.errstate(invalid="ignore"):
-        height = eye[2] - seen.plane_depth * frame.meters_per_unit
+    seen = seen_straight(splats, frame, grid, float(tops.surface[k, 0]) + 1.0, plane=True)
     light = seen.color.mean(axis=-1) / np.maximum(seen.alpha, 0.3)
-    known = np.isfinite(height)
-    return np.where(known, height, 0)[::-1], np.where(known, seen.alpha, 0)[::-1], light[::-1]
+    known = np.isfinite(seen.height)
+    return np.where(known, seen.height, 0), np.where(known, seen.alpha, 0), light
 
 
 def gaps_in(light, alpha, spacing):

@@ -11,6 +11,11 @@ SAMPLE = 2_000_000  # cells, about, of a large map that a median is taken of
 GAP_HEIGHT = 0.15  # m between ground and underside that rain can be blown into
 
 
+MAPS = "bed", "top", "underside", "source", "ground_class", "noise", "color"
+SOME = "water", "standing", "poured", "layer"  # maps that not all terrains have
+TOPS = "tops_"  # begins the names of the arrays of `Tops` in files
+
+
 @dataclass(frozen=True)
 class Grid:
     """A raster on the ground: cell (j, i) spans spacing x spacing m, row 0 in the south (least y).
@@ -68,14 +73,13 @@ class Grid:
 class Tops:
     """Flat tops above the ground: tables, benches, roofs.
 
-    A top's surface is a plane, or curved a little: s0 + s1 X + s2 Y + s3 X^2 + s4 X Y + s5 Y^2,
-    with X, Y the distance from its centre. A level top has a patch of finer cells besides, on which
-    its relief is known; the patches lie one above the other in one array, with dry cells around
-    each. Without tops the index is of shape (0, 0).
+    A top's surface is a plane, s0 + s1 X + s2 Y, with X, Y the distance from its centre. A level
+    one has a patch of finer cells besides, on which its relief is known; the patches lie one above
+    the other in one array, with dry cells around each. Without tops the index has shape (0, 0).
     """
 
     index: np.ndarray  # (ny, nx), int16, the top over each cell and a margin, -1: none
-    surface: np.ndarray  # (n, 6), float64, s0 [m] to s5 [1/m]
+    surface: np.ndarray  # (n, 3), float64, s0 [m], s1, s2
     centre: np.ndarray  # (n, 2), float64, m
     area: np.ndarray  # (n,), float64, m2
     patch: np.ndarray  # (n, 3), int64: first row in the arrays, rows, columns; no rows if not level
@@ -108,7 +112,7 @@ class Tops:
 
 
 NO_TOPS = Tops(
-    np.zeros((0, 0), np.int16), np.zeros((0, 6)), np.zeros((0, 2)), np.zeros(0),
+    np.zeros((0, 0), np.int16), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0),
     np.zeros((0, 3), np.int64), np.zeros((0, 2)), 1.0, np.zeros((1, 1), np.float32),
     np.zeros((1, 1), bool),
 )  # fmt: skip
@@ -183,6 +187,30 @@ class Terrain:
         """Fill in a map of zeros if no water was painted."""
         if self.water is None:
             object.__setattr__(self, "water", np.zeros(self.grid.shape, np.float32))
+
+    def arrays(self):
+        """Return the terrain as arrays by name, for files; see `from_arrays`."""
+        found = {name: getattr(self, name) for name in MAPS}
+        found |= {name: values for name in SOME if np.any(values := getattr(self, name))}
+        found |= {TOPS + name: values for name, values in self.tops.arrays().items()}
+        return found | {
+            "origin": np.array(self.grid.origin, np.float64),
+            "spacing": np.float64(self.grid.spacing),
+            "notes": np.array(self.notes, dtype=np.str_),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays):
+        """Return the terrain that `arrays` gave, without footprints."""
+        grid = Grid(
+            arrays["bed"].shape,
+            tuple(arrays["origin"].tolist()),
+            np.asarray(arrays["spacing"]).item(),
+        )
+        maps = {name: arrays[name] for name in (*MAPS, *SOME) if name in arrays}
+        tops = {n.removeprefix(TOPS): a for n, a in arrays.items() if n.startswith(TOPS)}
+        tops = Tops.from_arrays(tops) if tops else NO_TOPS
+        return cls(grid, **maps, notes=tuple(np.asarray(arrays["notes"]).tolist()), tops=tops)
 
     @property
     def cells(self):

@@ -72,10 +72,12 @@ def test_the_map_of_the_folder_is_kept_for_its_runs(rainsim, tmp_path, monkeypat
     monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path / "kept"))
     capture(tmp_path)
     assert rainsim("import", "tiny.ply", "--out", "one").code == 0
-    scene, terrain = load_scene(tmp_path / "one"), Config().terrain
-    assert cache.read(kept_terrain.KIND, kept_terrain.entry_name(scene, terrain)) is not None
+    scene, terrain, kind = load_scene(tmp_path / "one"), Config().terrain, kept_terrain.KIND
+    assert (
+        cache.read(kind, cache.name_of(kind, *kept_terrain.inputs_of(scene, terrain))) is not None
+    )
     other = replace(terrain, spacing=0.03)
-    assert cache.read(kept_terrain.KIND, kept_terrain.entry_name(scene, other)) is None
+    assert cache.read(kind, cache.name_of(kind, *kept_terrain.inputs_of(scene, other))) is None
 
 
 def test_overwriting_keeps_what_is_not_ours(rainsim, tmp_path):

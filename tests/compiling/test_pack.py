@@ -24,7 +24,7 @@ pytestmark = [
 ]
 ROWS = {
     "rainsim.splatting.tiles:tile_starts": "int64[:, ::1]",
-    "rainsim.surface.fuse:fill_table": "int64[::1], int64[::1]",
+    "rainsim.water.tracks:wear": "float64[:, ::1], float32[:, ::1]",
     "made:triple": "int64",
 }
 MADE = """from rainsim.jit import serial_kernel
@@ -40,7 +40,7 @@ from rainsim.jit import KERNELS, processor
 
 calls = {
     "rainsim.splatting.tiles:tile_starts": (np.array([[1, 2], [3, 4]]),),
-    "rainsim.surface.fuse:fill_table": (np.array([5, 7]), np.full(16, -1)),
+    "rainsim.water.tracks:wear": (np.zeros((0, 8)), np.zeros((2, 3), np.float32)),
     "made:triple": (7,),
 }
 compiled, results = [], {}
@@ -181,7 +181,7 @@ def test_a_file_with_another_hash_is_not_loaded_and_the_doctor_says_which(instal
     line = json.loads(installed.run("-m", "rainsim", "doctor", "--json"))["kernels"]
     assert line["used"] and line["damaged"] == [] and "x86-64-v3" in line["processor"]
     assert not {name for name in ROWS} & set(line["changed"])
-    (file,) = (place / "rainsim.surface.fuse").glob("*.nbc")
+    (file,) = (place / "rainsim.water.tracks").glob("*.nbc")
     whole = file.read_bytes()
     # Changed on purpose: the digest within the file is right, the one of the manifest is not.
     from rainsim.compiling.checked_files import _digest
@@ -191,9 +191,9 @@ def test_a_file_with_another_hash_is_not_loaded_and_the_doctor_says_which(instal
     try:
         found = json.loads(installed.run("-m", "rainsim", "doctor", "--json", code=1))
         assert found["kernels"]["damaged"] == [file.relative_to(place).as_posix()]
-        assert "rainsim.surface.fuse:fill_table" in found["kernels"]["changed"]
+        assert "rainsim.water.tracks:wear" in found["kernels"]["changed"]
         assert any("1 file is damaged in rainsim-kernels" in line for line in found["wrong"])
-        assert installed.calls()["compiled"] == ["rainsim.surface.fuse:fill_table"]
+        assert installed.calls()["compiled"] == ["rainsim.water.tracks:wear"]
     finally:
         file.write_bytes(whole)
 

@@ -340,7 +340,7 @@ def disc_over_ground():
     ]).astype(np.float32)  # fmt: skip
     normal, flat = np.tile(np.float32([0, 0, 1]), (len(place), 1)), np.ones(len(place), np.float32)
     none = np.zeros((len(place), 1), np.int32)
-    surface = Surface(place, normal, flat, 0 * normal, flat, none, np.float32(0.05**2) * flat)
+    surface = Surface(place, normal, flat, 0 * normal, none, np.float32(0.05**2) * flat)
     return place, visibility.solids_of(surface)
 
 
@@ -416,7 +416,7 @@ def surface_at(position, normal=(0, 0, 1)):
     one = np.ones(n, np.float32)
     normals = np.tile(np.float32(normal), (n, 1))
     none = np.zeros((n, 1), np.int32)
-    return Surface(np.float32(position), normals, one, normals, one, none, one)
+    return Surface(np.float32(position), normals, one, normals, none, one)
 
 
 def test_shade_takes_over_what_its_edges_show(rng):

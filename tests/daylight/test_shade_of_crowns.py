@@ -35,7 +35,7 @@ def floor():
     normal = np.tile(UP.astype(np.float32), (count, 1))
     neighbours = cKDTree(position).query(position, k=9)[1].astype(np.int32)
     color = (paint * (0.8 + share[:, None] * RATIO)).astype(np.float32)
-    surface = Surface(position, normal, full, color, full, neighbours, full)
+    surface = Surface(position, normal, full, color, neighbours, full)
     sky, none = np.full((count, 3), 0.8, np.float32), np.zeros((count, 3), np.float32)
     light = Light(sky, full, np.zeros((count, 2), np.float32), none)
     return surface, light, share, moss

@@ -19,7 +19,7 @@ def surface_of(position, normal, light, flat):
     grey = np.repeat(np.asarray(light, F4)[:, None], 3, axis=1)
     return Surface(
         np.asarray(position, F4), np.asarray(normal, F4), np.asarray(flat, F4), grey,
-        np.ones(n, F4), np.zeros((n, 1), np.int32), np.full(n, STEP**2, F4),
+        np.zeros((n, 1), np.int32), np.full(n, STEP**2, F4),
     )  # fmt: skip
 
 

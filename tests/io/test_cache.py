@@ -16,13 +16,11 @@ from made_formats import write_splats
 from rainsim import jit, pipeline
 from rainsim.config.settings import Config
 from rainsim.io import cache
-from rainsim.rain import dripping, exposure
 from rainsim.scene import library
 from rainsim.scene.cameras import write_transforms
 from rainsim.scene.folder import import_scene
 from rainsim.scene.library import load_scene
 from rainsim.terrain import kept_terrain
-from rainsim.terrain.types import Grid, Terrain
 from scenes import tiny_scene
 
 CONFIG = Config.from_preset("moderate").replace(spacing=0.04, extent=1.0, width=48, frames=2)
@@ -273,15 +271,19 @@ def test_a_kept_ground_frame_is_the_estimated_one(folder, tmp_path):
     assert len(list(folder.glob("frame-*"))) == before + 1
 
 
+def entry_name(*inputs):
+    return cache.name_of(*kept_terrain.inputs_of(*inputs))
+
+
 def test_each_input_of_a_terrain_changes_its_name():
     scene, config, mask = tiny_scene(), CONFIG.terrain, np.full((50, 50), -1)
-    names = [kept_terrain.entry_name(scene, config), kept_terrain.entry_name(scene, config, mask)]
+    names = [entry_name(scene, config), entry_name(scene, config, mask)]
     splats, frame, camera = scene.splats, scene.ground_frame, scene.cameras[0]
     for field in dataclasses.fields(splats):
         changed = getattr(splats, field.name).copy()
         changed.reshape(-1)[-1] += np.float32(1e-3)
         other = replace(splats, **{field.name: changed})
-        names.append(kept_terrain.entry_name(replace(scene, splats=other), config))
+        names.append(entry_name(replace(scene, splats=other), config))
     scenes = [
         replace(scene, splats=splats.take(np.arange(len(splats) - 1))),
         replace(scene, ground_frame=replace(frame, meters_per_unit=0.61)),
@@ -290,20 +292,17 @@ def test_each_input_of_a_terrain_changes_its_name():
         replace(scene, cameras=(replace(camera, fx=camera.fx + 1e-9), *scene.cameras[1:])),
         replace(scene, drains=((0.1, 0.2, 0.3),)),
     ]
-    names += [kept_terrain.entry_name(other, config) for other in scenes]
+    names += [entry_name(other, config) for other in scenes]
     for change in ({"spacing": 0.05}, {"extent": 1.1}):
-        names.append(kept_terrain.entry_name(scene, replace(config, **change)))
+        names.append(entry_name(scene, replace(config, **change)))
     painted = mask.copy()
     painted[3, 4] = 1
-    names.append(kept_terrain.entry_name(scene, config, painted))
+    names.append(entry_name(scene, config, painted))
     assert len(set(names)) == len(names)
-    assert kept_terrain.entry_name(tiny_scene(), config) == names[0]
+    assert entry_name(tiny_scene(), config) == names[0]
 
 
 def test_pictures_of_kept_results_are_the_same(folder, monkeypatch):
-    monkeypatch.setattr(exposure, "LEAST_KEPT", 0)
-    monkeypatch.setattr(dripping, "LEAST_KEPT", 0)
-
     def frames():
         scene = tiny_scene()
         return [
@@ -313,36 +312,12 @@ def test_pictures_of_kept_results_are_the_same(folder, monkeypatch):
 
     fresh, again = frames(), frames()
     kinds = sorted(path.name.partition("-")[0] for path in folder.iterdir())
-    assert kinds == ["bodies", "catchments", "exposure", "relief", "skyline", "terrain"]
+    assert kinds == ["bodies", "relief", "skyline", "terrain"]
     monkeypatch.setenv("RAINSIM_CACHE", "off")
     for run in (again, frames()):
         for (picture, ledger), (first, account) in zip(run, fresh, strict=True):
             same(picture, first)
             assert ledger == account
-
-
-def test_each_input_of_the_exposure_changes_its_name(folder, monkeypatch):
-    monkeypatch.setattr(exposure, "LEAST_KEPT", 0)
-    bed = np.zeros((20, 30), np.float32)
-    top, under = bed.copy(), bed.copy()
-    top[5:9, 8:15], under[5:9, 8:15] = 1.1, 1.0  # a roof
-    maps = [np.zeros(bed.shape, np.uint8)] * 2, [bed, np.zeros((*bed.shape, 3), np.float32)]
-    terrain = Terrain(Grid(bed.shape, (0.0, 0.0), 0.04), bed, top, under, *maps[0], *maps[1])
-    raised = terrain.top.copy()
-    raised[3, 4] += np.float32(1e-3)
-    cases = [
-        (terrain, (2.0, 0.5), 0.01), (terrain, (2.1, 0.5), 0.01), (terrain, (2.0, 0.6), 0.01),
-        (terrain, (2.0, 0.5), 0.02), (replace(terrain, top=raised), (2.0, 0.5), 0.01),
-        (replace(terrain, bed=raised), (2.0, 0.5), 0.01),
-        (replace(terrain, underside=raised), (2.0, 0.5), 0.01),
-        (replace(terrain, grid=replace(terrain.grid, spacing=0.041)), (2.0, 0.5), 0.01),
-    ]  # fmt: skip
-    fresh = [exposure.rain_exposure(*case) for case in cases]
-    assert fresh[0].min() < 0.5 and fresh[0].max() > 0.9
-    assert len(list(folder.glob("exposure-*"))) == len(cases)
-    monkeypatch.setattr(exposure, "computed_exposure", lambda *_: pytest.fail("computed again"))
-    for case, share in zip(cases, fresh, strict=True):
-        same(exposure.rain_exposure(*case), share)
 
 
 def test_a_kept_terrain_loads_nothing_that_extracts_one(folder, root):

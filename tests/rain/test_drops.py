@@ -16,7 +16,7 @@ from rainsim.drops import (
 )
 from rainsim.errors import ParameterError
 from rainsim.numerics.random import subkey, uniform, uniform_triple
-from rainsim.rain.exposure import computed_exposure
+from rainsim.rain.exposure import rain_exposure
 from rainsim.rain.heightfield import BLOCK
 from rainsim.rain.moving_surfaces import Heights
 from rainsim.rain.size_distribution import SIZE_LAWS, SMALLEST, SizeLaw, terminal_speed
@@ -385,10 +385,10 @@ def test_ways_that_pass_beside_all_tops_are_followed_no_less(wind):
     bed, top = np.zeros((2, 120, 160), np.float32)
     top[50:70, 60:80] = 1.2
     grid = Grid(bed.shape, (0.0, 0.0), 0.05)
-    alone = computed_exposure(Heights(grid, bed, top, bed), wind)
+    alone = rain_exposure(Heights(grid, bed, top, bed), wind)
     posts = top.copy()
     posts[0, 0] = posts[-1, -1] = 1.2
-    beside = computed_exposure(Heights(grid, bed, posts, bed), wind)
+    beside = rain_exposure(Heights(grid, bed, posts, bed), wind)
     where = np.s_[30:90, 40:120]
     np.testing.assert_array_equal(alone[where], beside[where])
     assert alone.min() == 0 and 0.02 < (alone < 1).mean() < 0.5

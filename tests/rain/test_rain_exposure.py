@@ -46,10 +46,10 @@ def test_every_way_is_followed(monkeypatch, wind):
     ways = np.outer(-wind[0] / falls, (math.cos(wind[1]), math.sin(wind[1])))
     wanted = [[np.mean([is_free(ground, row, column, way) for way in ways])
                for column in range(18)] for row in range(14)]  # fmt: skip
-    found = exposure.computed_exposure(ground, wind)
+    found = exposure.rain_exposure(ground, wind)
     np.testing.assert_allclose(found, wanted, atol=1e-6)
     assert found.min() == 0 and (found == 1).any()
 
 
 def test_bare_ground_is_open():
-    assert (exposure.computed_exposure(block_map(things=False), (5.0, 0.7)) == 1).all()
+    assert (exposure.rain_exposure(block_map(things=False), (5.0, 0.7)) == 1).all()

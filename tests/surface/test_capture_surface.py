@@ -109,18 +109,6 @@ def blue_over_wall(height=60, width=80):
     return light
 
 
-def test_small_matrices_are_made_diagonal():
-    rng, axes = np.random.default_rng(2), np.full((3, 3), np.nan)
-    parts = rng.standard_normal((20, 3, 3)) * 10.0 ** -np.arange(20)[:, None, None]
-    for full in [*(parts @ parts.transpose(0, 2, 1)), np.zeros((3, 3)), np.eye(3), np.ones((3, 3))]:
-        values = full.copy()
-        fuse.diagonalize(values, axes)
-        scale = np.abs(full).max()
-        assert np.allclose(axes @ np.diag(np.diag(values)) @ axes.T, full, 0, 1e-13 * scale)
-        assert np.allclose(axes.T @ axes, np.eye(3), 0, 1e-13)
-        assert np.allclose(np.sort(np.diag(values)), np.linalg.eigvalsh(full), 0, 1e-13 * scale)
-
-
 def test_the_sky_is_found_by_its_colour_and_a_wall_is_not_sky():
     pictures = [view_of(blue_over_wall(), 0.45 + 0.02 * k) for k in range(4)]
     colors = captured_sky.SkyColors(pictures)
@@ -320,7 +308,7 @@ def test_dark_splats_take_the_values_of_dark_places():
     light = np.where(dark, 0.05, 0.4).astype("f4")[:, None] * np.ones(3, "f4")
     one = np.ones(len(place), np.float32)
     near = np.zeros((len(place), 1), np.int32)
-    surface = Surface(place, 0 * place, one, light, one, near, one)
+    surface = Surface(place, 0 * place, one, light, near, one)
     values = np.where(dark, 4.0, 0.5).astype("f4")[:, None]
     at = np.array([[0.01, 0, 0.02], [0.01, 0, 0.02], [5, 5, 5]], np.float32)
     own = np.array([0.05, 0.4, 0.4], "f4")[:, None] * np.ones(3, "f4")

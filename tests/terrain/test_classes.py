@@ -11,13 +11,13 @@ from benchmarks import ground as suite
 from rainsim import terrain
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import InputError, ParameterError
-from rainsim.io import images
+from rainsim.io import cache, images
 from rainsim.scene.ground import scale_from_length, with_fall
 from rainsim.scene.painted import PaintedClasses
 from rainsim.scene.types import GroundFrame
 from rainsim.terrain import extract, tops
 from rainsim.terrain.classify import classify
-from rainsim.terrain.kept_terrain import entry_name
+from rainsim.terrain.kept_terrain import inputs_of
 
 SPACING = 0.04
 
@@ -105,7 +105,7 @@ def test_classes_painted_in_the_scene_are_taken_by_maps_of_any_cell(yard, tmp_pa
     blank = np.full(ground.grid.shape, -1, np.int16)  # a mask that is given wins over all of them
     given = terrain.extract_terrain(scene, config, blank)
     np.testing.assert_array_equal(given.ground_class, plain.ground_class)
-    assert entry_name(scene, config) != entry_name(yard[0], config)
+    assert cache.name_of(inputs_of(scene, config)) != cache.name_of(inputs_of(yard[0], config))
     scene = replace(scene, painted=replace(painted, name=("lava",)))
     with pytest.raises(InputError, match="lava"):
         terrain.extract_terrain(scene, config)
@@ -178,11 +178,11 @@ def test_parts_of_a_map_fit_together(yard, monkeypatch):
     monkeypatch.setattr(extract, "MARGIN", 1.0)
     parts = list(extract.pieces(whole.grid))
     covered = np.zeros(whole.grid.shape, int)
-    for core, inner, piece in parts:
+    for core, inner, _, part in parts:
         covered[core] += 1
         x, y = whole.grid.centres()
-        np.testing.assert_allclose(piece.grid.centres()[0][inner[1]], x[core[1]], atol=1e-9)
-        np.testing.assert_allclose(piece.grid.centres()[1][inner[0]], y[core[0]], atol=1e-9)
+        np.testing.assert_allclose(part.centres()[0][inner[1]], x[core[1]], atol=1e-9)
+        np.testing.assert_allclose(part.centres()[1][inner[0]], y[core[0]], atol=1e-9)
     assert len(parts) > 1 and (covered == 1).all()
     found = terrain.extract_terrain(scene, config)
     measured = whole.source == terrain.MEASURED

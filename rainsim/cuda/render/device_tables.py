@@ -10,7 +10,7 @@ from rainsim.cuda.moving_map import MovingMap
 from rainsim.cuda.shading.wet_pass import DeviceView, grade_and_wet, pixel_grid
 from rainsim.reflection.ray_water import COVERING_DEPTHS
 from rainsim.reflection.slope_moments import ripple_moments
-from rainsim.reflection.water_pass import March
+from rainsim.reflection.water_pass import march_settings
 from rainsim.shading.smooth_normals import AROUND, NO_AROUND
 from rainsim.shading.surface_point import GroundMaps
 from rainsim.shading.wet_pass import DryPicture
@@ -76,7 +76,7 @@ class DeviceTables:
                 give(value)
                 self._sent[name] = value
         self.camera.take(conductor.view, (camera.height, camera.width))
-        self.march = March().settings(camera.width)
+        self.march = march_settings(camera.width)
         if len(self.tops.form):
             send(self.tops.water, inputs["tops"].water)
         for name in ("sun", "air"):
