@@ -59,5 +59,5 @@ def find_dampness(
                 point = with_normal(point, lean)
             level = ground_share(above, point.nz, point.ground)
             leaf = leaf_share(r, g, b)
-            wet = wet_state(point, clearance, above, level, leaf, ground, rain)
+            wet = wet_state(point, clearance, above, level, leaf, ONE, ground, rain)
             damp_out[row, column] = wet.dampness

@@ -149,7 +149,7 @@ def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisone
             point = SurfacePoint(*(EYE + e * ray), *lean, e * length)
         level = surface_point.ground_share(above, point.nz, F4(-1))
         leaf = wetting.leaf_share(*undiluted(*dry.color[at], dry.alpha[at]))
-        wet = wetting.wet_state(point, clearance, above, level, leaf, ground, rain)
+        wet = wetting.wet_state(point, clearance, above, level, leaf, F4(1), ground, rain)
         wanted[at] = wet.dampness
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-4)
     assert beside > 0 and (wanted > 0.05).mean() > 0.3 and np.ptp(wanted) > 0.5
