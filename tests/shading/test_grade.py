@@ -290,6 +290,8 @@ def test_what_stands_is_no_ground_and_lies_where_it_goes_on_over_the_layer():
         assert seen(height, 0.5)[0].ground == pytest.approx(0.5)
     stands, drawn = seen(-0.3, 1)
     assert drawn == 3 and stands.ny == -1 and seen(-0.3, 0)[1] == pytest.approx(3.75)
+    above, drawn = seen(0.2, 1)  # neither does it jump there to what lies behind it over the bed
+    assert drawn == 3 and above[:3] == pytest.approx(stands[:3])
 
 
 def test_what_stands_higher_than_the_layer_stays_and_between_nothing_jumps():
