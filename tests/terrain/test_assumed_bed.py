@@ -111,6 +111,10 @@ def test_where_cameras_went_nothing_stands():
     assert not top[row[0]].any()
     layer = assumed_bed.layer_map(top > 0, went, 0.04, 0.15, 1.6)
     assert layer[row[0], 80] > 1.5 > layer[30, 380] > layer[row[4], 200] > 0
+    narrow = assumed_bed.path_of(eyes, GRID, assumed_bed.WALKER)
+    assert (narrow <= went).all() and narrow.sum() < 0.9 * went.sum()
+    car = went & ~narrow  # what stands there was passed closely, and is no haze
+    assert assumed_bed.layer_map(car, went, 0.04, 0.15, 1.6)[car].max() < 0.5
     scene = SimpleNamespace(splats=(), cameras=())
     poor = assumed_bed.PoorGround(scene, GRID, 0.15, eyes, lambda x, y: 0 * x)
     top[row[4] - 40, 100:120] = 2.0  # a clump
