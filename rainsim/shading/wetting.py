@@ -245,7 +245,9 @@ def wet_state(point, clearance, height, level, leaf, lit, ground, rain):
     off = Wetness(ZERO, ZERO, ZERO, ZERO)
     if mapped < ONE:
         body = body_of(point, clearance, ground)
-        off = off_ground(rain, damp_off_ground(rain, point, height, body), body, leaf, lit)
+        # A dark pane mirrors the sky; where heights are noise it may be the shadow under a car.
+        shown = max(lit, body) if ground.thickest_layer == ZERO else lit
+        off = off_ground(rain, damp_off_ground(rain, point, height, body), body, leaf, shown)
     if mapped == ZERO:
         return off
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
