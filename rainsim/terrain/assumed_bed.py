@@ -34,6 +34,7 @@ BESIDE = 0.3  # m about things, that is near them
 # Cameras' heights: longest step from camera to camera; half of the width of a path, and of what a
 # walker needs beside a parked car.
 STEP, WIDE, WALKER = 4.0, 0.5, 0.4
+CLUMP = 0.3  # m2, up to which what seems to stand on a path is haze
 PICTURES, WIDTH = 48, 240  # of a capture, that are laid on the ground, at most; px
 DRAWN = 8  # pictures that are drawn before they are laid
 FARTHEST = 20.0  # cameras' heights to the ground that they show
@@ -148,6 +149,10 @@ class PoorGround:
         above[:, 2] -= self.level(*above[:, :2].T)
         went = path_of(self._eyes, grid, WALKER)
         top, low = cover(above, grid, self.layer, ceiling, went)
+        label, _ = ndimage.label(top > 0)
+        clump = np.bincount(label.ravel())[label] * grid.cell_area < CLUMP
+        clump &= path_of(self._eyes, grid)
+        top[clump] = low[clump] = 0
         bed = bed - foot_drop((top > 0) & (low == 0), grid.spacing)
         return bed, bed + top, bed + low
 
