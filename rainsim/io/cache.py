@@ -25,7 +25,7 @@ from rainsim import __version__
 from rainsim.io.files import replacing
 from rainsim.io.fingerprint import hash_of_array, versions
 
-KEPT_FORMAT = 4  # to be raised by who changes what is kept, or how a kept result is computed
+KEPT_FORMAT = 5  # to be raised by who changes what is kept, or how a kept result is computed
 
 VARIABLE, OFF = "RAINSIM_CACHE", "off"
 MOST_BYTES = 2_000_000_000  # of all entries; a map of 2048 x 2048 cells takes 143 MB

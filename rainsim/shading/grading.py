@@ -20,7 +20,7 @@ SKY_DARK, SKY_BRIGHT = np.float32(0.10), np.float32(0.22)  # linear luminance: n
 SKY_DULL, SKY_BLUE = np.float32(0.6), np.float32(0.85)  # blue over the largest channel: as above
 # Alpha that hides all: the sky before which a surface was trained shows through it a little; and
 # next to none.
-OPAQUE, LEAST_COVER = np.float32(0.95), np.float32(1e-3)
+OPAQUE, LEAST_COVER = np.float32(0.8), np.float32(1e-3)
 
 
 class Look(NamedTuple):

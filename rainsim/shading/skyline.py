@@ -24,6 +24,9 @@ PROBES = 4  # places of cameras beside the middle that the capture is seen from
 PARALLAX = math.radians(2.5)  # by which the skyline moves from one camera to another
 BEHIND = 2  # texels by which the sky goes on behind what hides it from one place
 SOFT = 1.0  # texels over which the sky goes over into what hides it
+# Share of what cameras saw in a direction, from which on the sky is open there; and in mirrored
+# pictures, whose low things have holes, which are no sky.
+LEAST_SEEN, MOSTLY_SEEN = 0.02, 0.3
 FILL = math.radians(6)  # over which the colours of what hides the sky are spread
 
 
@@ -43,8 +46,8 @@ def skylines(scene, prepared, first_camera, near, seen=None):
     first_camera : Camera. Of the frames, in the capture frame: from there it is
         seen if the scene has no cameras.
     near : float [capture units]
-    seen : bool array (rows, columns), optional. Where cameras saw the sky, see
-        `surface.captured_sky.seen_sky`: there alone it is open.
+    seen : float32 array (rows, columns), optional. How much cameras saw of the
+        sky, see `surface.captured_sky.seen_sky`: there alone it is open.
     """
     places = places_of(scene, first_camera)
     if seen is not None:
@@ -68,7 +71,7 @@ def skylines(scene, prepared, first_camera, near, seen=None):
     found = cache.kept_arrays("skyline", draw, prepared, scene.ground_frame, places, near)
     both = [Skyline(found[f"open {int(part)}"], found[f"land {int(part)}"]) for part in parts]
     if seen is not None:
-        both = [opened(skyline, seen) for skyline in both]
+        both = opened(both[0], seen > LEAST_SEEN), opened(both[-1], seen > MOSTLY_SEEN)
     return both[0], both[-1]
 
 
@@ -78,8 +81,8 @@ def opened(skyline, seen):
     Another place would not do: past a building's end it looks into what was never captured, where
     from here a dark doorway is half open.
 
-    seen : bool array (rows, columns). See `surface.captured_sky.seen_sky`. Below
-        the horizon it is open where it was, if the horizon is.
+    seen : bool array (rows, columns). Below the horizon it is open where it was,
+        if the horizon is.
     """
     rows, columns = seen.shape
     direction = directions(*skyline.open.shape)

@@ -276,6 +276,14 @@ def on_bed(point, depth, drawn, x, y, z, layer, stands, ground):
     """
     sure, thing = stands
     eye_x, eye_y, eye_z = point.x - depth * x, point.y - depth * y, point.z - depth * z
+    # What stands there lies no farther off than where it goes on over the layer.
+    near = depth - sure * max(depth - thing, ZERO)
+    drawn -= sure * max(drawn - thing, ZERO)
+    point = SurfacePoint(
+        eye_x + near * x, eye_y + near * y, eye_z + near * z, point.nx, point.ny, point.nz,
+        point.distance * (near / depth), point.ground,
+    )  # fmt: skip
+    depth = near
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
     bed = bed_at(ground, u, v)
     share = ZERO

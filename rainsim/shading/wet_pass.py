@@ -45,6 +45,7 @@ from rainsim.shading.wetting import (
     SkyMaps,
     glossed,
     leaf_share,
+    lit_share,
     mirror_cover,
     rainy_color,
     wet_state,
@@ -153,7 +154,7 @@ def grade_row(
         if dry.around > ZERO:
             take_normals_around(dry, normals, view, row, left, n, ground.thickest_layer, s, glossy)
         find_levels(n, s)
-        find_wetness(ground, rain, n, s)
+        find_wetness(ground, rain, look, n, s)
         color_pixels(look, mirror_apart, n, s)
         add_surroundings(sky, n, s, glossy, open_)
         write_pixels(
@@ -300,13 +301,15 @@ def find_levels(n, s):
 
 
 @inlined_function
-def find_wetness(ground, rain, n, s):
+def find_wetness(ground, rain, look, n, s):
     """Find how wet each pixel's surface is: `wet_state` in vectors."""
     for i in range(n):
         leaf = leaf_share(s[RED + i], s[GREEN + i], s[BLUE + i])
+        lit = lit_share(s[RED + i], s[GREEN + i], s[BLUE + i], look)
         wet = wet_state(
-            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], leaf, ground, rain
-        )
+            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], leaf, lit, ground,
+            rain,
+        )  # fmt: skip
         store_wetness(wet, s, WETNESS + i, CHUNK)
 
 

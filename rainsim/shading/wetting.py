@@ -37,6 +37,7 @@ TRAPPED = np.float32(0.4746)  # diffuse light that the water film reflects back 
 FILLING = np.float32(1.55)  # of the similarity: its asymmetry goes from some 0.64 to 0.85
 LEAST_LEFT = np.float32(0.1)  # of the light: no factor on the darkening takes more away
 LEAST_ALBEDO, MOST_ALBEDO = np.float32(0.02), np.float32(0.8)
+DARK = np.float32(0.02)  # albedo below which a surface lies in deep shadow; by eye
 # Shares of the darkening that leaves and lawns do without, for they shed water. Measured in visible
 # light, turf wet with rain reflects 4 to 16 % more than dry, its gloss included (Madeira, Gillespie
 # and Duke 2001, Agric. For. Meteorol. 107, 117). A lawn, which gets no gloss here, keeps some 0.93
@@ -127,6 +128,16 @@ def open_share(y, look):
 
 
 @inlined_function
+def lit_share(r, g, b, look):
+    """Return which share of the surroundings a film on a captured linear colour mirrors, 0 to 1.
+
+    What is darker than DARK is so for what stands over it: under a car, at the foot of a hedge. A
+    film there mirrors that, which the capture seldom has, and no sky.
+    """
+    return smoothstep(ZERO, DARK, luminance(r, g, b) * look.albedo)
+
+
+@inlined_function
 def wetted(r, g, b, coat, wet, look):
     """Return the graded colour of a wet surface.
 
@@ -165,13 +176,13 @@ def on_ground(ground, u, v):
 
 
 @inlined_function
-def off_ground(rain, damp, body, leaf):
+def off_ground(rain, damp, body, leaf, lit):
     """Return the `Wetness` of a surface that is no ground; smooth bodies have no pores.
 
     A share `leaf` is leaves: their film lies where they face up, and mirrors there.
     """
     even = damp + leaf * (damp_leaf(rain) - damp)
-    return Wetness(ZERO, even, damp * rain.film_left, rain.porosity * (ONE - body))
+    return Wetness(ZERO, even, damp * rain.film_left * lit, rain.porosity * (ONE - body))
 
 
 @inlined_function
@@ -223,10 +234,10 @@ def with_normal(point, normal):
 
 
 @inlined_function
-def wet_state(point, clearance, height, level, leaf, ground, rain):
+def wet_state(point, clearance, height, level, leaf, lit, ground, rain):
     """Return how wet a surface is that is ground by a share `level`, else leaves by `leaf`.
 
-    The heights are those of `heights_of`.
+    The heights are those of `heights_of`, `lit` is that of `lit_share`.
     """
     if not height < FAR_AWAY:
         return Wetness(ZERO, ZERO, ZERO, ZERO)
@@ -234,7 +245,9 @@ def wet_state(point, clearance, height, level, leaf, ground, rain):
     off = Wetness(ZERO, ZERO, ZERO, ZERO)
     if mapped < ONE:
         body = body_of(point, clearance, ground)
-        off = off_ground(rain, damp_off_ground(rain, point, height, body), body, leaf)
+        # A dark pane mirrors the sky; where heights are noise it may be the shadow under a car.
+        shown = max(lit, body) if ground.thickest_layer == ZERO else lit
+        off = off_ground(rain, damp_off_ground(rain, point, height, body), body, leaf, shown)
     if mapped == ZERO:
         return off
     u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
@@ -242,7 +255,7 @@ def wet_state(point, clearance, height, level, leaf, ground, rain):
     on, rest = on_ground(ground, u, v), ONE - mapped
     return Wetness(
         mapped * on.lawn + rest * off.lawn, mapped * on.dampness + rest * off.dampness,
-        mapped * on.film + rest * off.film, mapped * on.porosity + rest * off.porosity,
+        mapped * on.film * lit + rest * off.film, mapped * on.porosity + rest * off.porosity,
     )  # fmt: skip
 
 
@@ -354,7 +367,8 @@ def wet_surface(color, alpha, sine, point, around, ground, rain, look):
     normal = wetted_normal(r, g, b, height, point, around, ground.thickest_layer)
     point = with_normal(point, normal)
     level = ground_share(height, point.nz, point.ground)
-    wet = wet_state(point, clearance, height, level, leaf_share(r, g, b), ground, rain)
+    leaf, lit = leaf_share(r, g, b), lit_share(r, g, b, look)
+    wet = wet_state(point, clearance, height, level, leaf, lit, ground, rain)
     return r, g, b, point, clearance, height, level, wet
 
 

@@ -30,7 +30,6 @@ RIVAL = 0.1  # of the largest part of the map, from which on a brighter one is s
 BRIGHT_LAND = 0.05  # of the pixels of a grey sky, that may be brighter
 LIKE_LAND = 0.5  # share of what lies below the horizon that may differ so little from the map
 SEEN = 45, 180  # rows and columns of the map of where the sky is seen
-LEAST_SEEN = 0.02  # share of the pixels that look in a direction, that show the sky
 LEAST_TEXELS = 6  # that show the sky
 LEAST_PIXELS = 30  # of a texel
 EQUAL = 0.08  # the same, up to which all pictures have one exposure
@@ -165,10 +164,10 @@ def place_on_map(direction, rows, columns):
 
 
 def seen_sky(views, shown):
-    """Return in which directions cameras saw the sky, bool (rows, columns) of 2 degrees.
+    """Return how much of what cameras saw in each direction is sky, float32 (rows, columns).
 
-    Row 0 is at the horizon, column 0 at azimuth 0. What no camera looked at counts as sky. `shown`
-    are masks of the views' pixels of the sky.
+    In 2 degrees; row 0 is at the horizon, column 0 at azimuth 0. What no camera looked at counts as
+    sky. `shown` are masks of the views' pixels of the sky.
     """
     rows, columns = SEEN
 
@@ -181,7 +180,8 @@ def seen_sky(views, shown):
         return [np.bincount(place, some, rows * columns) for some in (None, sky[above])]
 
     count = np.sum(of_each(counted, views, shown), axis=0)
-    return ((count[0] == 0) | (count[1] > LEAST_SEEN * count[0])).reshape(SEEN)
+    share = np.where(count[0] == 0, 1, count[1] / np.maximum(count[0], 1))
+    return share.astype(np.float32).reshape(SEEN)
 
 
 def _likely(view, direction):

@@ -53,7 +53,7 @@ class Found(NamedTuple):
     aloft: np.ndarray  # (n,), bool, that lie before the sky, and give land no more light than that
     middle: np.ndarray  # (3,), float32, m, of what the cameras look at, in the ground frame
     solid: np.ndarray  # (m, 10), float32
-    open: np.ndarray  # (rows, columns), bool, see `captured_sky.seen_sky`
+    open: np.ndarray  # (rows, columns), float32, see `captured_sky.seen_sky`
     half: float  # m, from the middle, how far they look
     shade: GroundShade | None = None  # on the ground; None: none is sure
     unveiled: Unveiled | None = None  # by leaving out the sky

@@ -31,7 +31,10 @@ AT_ONCE = 8192  # places, for memory
 # in heights of the cameras: at most, and where they went, for nothing but haze hangs there.
 NEAR, LAYER, MOST, WENT = 1.0, 2.5, 0.5, 1.0
 BESIDE = 0.3  # m about things, that is near them
-STEP, WIDE = 4.0, 0.5  # cameras' heights: longest step from camera to camera; half a path's width
+# Cameras' heights: longest step from camera to camera; half of the width of a path, and of what a
+# walker needs beside a parked car.
+STEP, WIDE, WALKER = 4.0, 0.5, 0.4
+CLUMP = 0.3  # m2, up to which what seems to stand on a path is haze
 PICTURES, WIDTH = 48, 240  # of a capture, that are laid on the ground, at most; px
 DRAWN = 8  # pictures that are drawn before they are laid
 FARTHEST = 20.0  # cameras' heights to the ground that they show
@@ -144,7 +147,12 @@ class PoorGround:
         """
         above = np.array(places)
         above[:, 2] -= self.level(*above[:, :2].T)
-        top, low = cover(above, grid, self.layer, ceiling, path_of(self._eyes, grid))
+        went = path_of(self._eyes, grid, WALKER)
+        top, low = cover(above, grid, self.layer, ceiling, went)
+        label, _ = ndimage.label(top > 0)
+        clump = np.bincount(label.ravel())[label] * grid.cell_area < CLUMP
+        clump &= path_of(self._eyes, grid)
+        top[clump] = low[clump] = 0
         bed = bed - foot_drop((top > 0) & (low == 0), grid.spacing)
         return bed, bed + top, bed + low
 
@@ -301,11 +309,11 @@ def bed_of(patches, color, known, grid, level):
     return bed, source, np.zeros(grid.shape, np.float32), color, green
 
 
-def path_of(eyes, grid):
+def path_of(eyes, grid, wide=WIDE):
     """Return where cameras went, bool (ny, nx): nothing stands there, whatever splats look like.
 
     From each camera the way to the next two counts, as far as they are near. `eyes` (n, 3) [m] are
-    the places of cameras that are not misplaced.
+    the places of cameras that are not misplaced; half of the way is `wide` times their height.
     """
     went = np.zeros(grid.shape, bool)
     if not len(eyes):
@@ -321,7 +329,7 @@ def path_of(eyes, grid):
                 went[row[inside], column[inside]] = True
     if not went.any():
         return went
-    most = WIDE * height
+    most = wide * height
     return filters.distance(~went, most / grid.spacing) * grid.spacing < most
 
 
@@ -358,7 +366,7 @@ def layer_map(stands, went, spacing, scatter, height):
     """
     width = BESIDE / spacing
     near = np.clip(4 * bedding.blur(stands.astype(np.float32), width), 0, 1)
-    free = np.clip(4 * bedding.blur(went.astype(np.float32), width) - 3, 0, 1)
+    free = (1 - near) * np.clip(4 * bedding.blur(went.astype(np.float32), width) - 3, 0, 1)
     layer = np.minimum(scatter * (LAYER + near * (NEAR - LAYER)), MOST * height)
     return (layer + free * (WENT * height - layer)).astype(np.float32)
 

@@ -173,6 +173,17 @@ def test_where_cameras_saw_no_sky_a_half_open_doorway_shows_none():
     assert (found[azimuth < -10] > 0.99).all()
 
 
+def test_behind_mirrored_pictures_much_of_what_cameras_saw_must_be_sky(yard):
+    scene, _ = yard
+    prepared = prepare(scene.splats, np.arange(len(scene.splats)) == 0)
+    seen = np.full((45, 180), 0.1, np.float32)
+    seen[23:] = 0.5
+    whole, mirrored = skyline.skylines(scene, prepared, scene.cameras[0], 0.1, seen)
+    high, low = directions()[..., 2] > 0.8, np.abs(directions()[..., 2] - 0.35) < 0.25
+    assert whole.open[high | low].min() > 0.99
+    assert mirrored.open[high].min() > 0.99 and mirrored.open[low].max() < 0.01
+
+
 def test_under_an_open_sky_the_day_is_drawn_and_below_it_the_land():
     alpha = dome(lambda e, a: e < 0)
     seen = np.concatenate([np.full((ROWS, COLUMNS, 3), 0.5, np.float32) * alpha[..., None],

@@ -123,6 +123,14 @@ def test_level_things_gloss_by_their_water_alone_where_tops_are_drawn():
         assert gloss(height, 1.6) == gloss(height, 0.0) > 0.005
 
 
+def test_what_lies_in_deep_shadow_mirrors_no_sky():
+    def film(albedo):
+        color = np.full(3, albedo / AS_CAPTURED.albedo)
+        return wetting.lit_share(*color, AS_CAPTURED)
+
+    assert film(0.001) < 0.01 < film(0.005) < 0.5 < film(0.015) < film(0.03) == 1
+
+
 def test_filled_pores_follow_the_similarity_of_deep_layers():
     for albedo in (0.05, 0.1, 0.3, 0.5, 0.8):
         s = np.linspace(0, 1, 200_001)

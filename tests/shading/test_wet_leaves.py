@@ -54,7 +54,7 @@ def test_a_leaf_that_is_turned_to_the_zenith_mirrors_it(skies):
 def test_leaves_are_wet_by_half_however_they_lie_and_wood_by_its_slope():
     def damp(normal, leaf, rain=SOAKED):
         point = SurfacePoint(F4(3), F4(0), F4(1), *F4(normal), F4(3))
-        wet = wetting.wet_state(point, F4(1), F4(1), F4(0), F4(leaf), LEVEL, rain)
+        wet = wetting.wet_state(point, F4(1), F4(1), F4(0), F4(leaf), F4(1), LEVEL, rain)
         return wet.dampness
 
     up, side, down = (0, 0, 1), (-1, 0, 0), (0, 0, -1)

@@ -111,8 +111,18 @@ def test_where_cameras_went_nothing_stands():
     assert not top[row[0]].any()
     layer = assumed_bed.layer_map(top > 0, went, 0.04, 0.15, 1.6)
     assert layer[row[0], 80] > 1.5 > layer[30, 380] > layer[row[4], 200] > 0
+    narrow = assumed_bed.path_of(eyes, GRID, assumed_bed.WALKER)
+    assert (narrow <= went).all() and narrow.sum() < 0.9 * went.sum()
+    car = went & ~narrow  # what stands there was passed closely, and is no haze
+    assert assumed_bed.layer_map(car, went, 0.04, 0.15, 1.6)[car].max() < 0.5
     scene = SimpleNamespace(splats=(), cameras=())
     poor = assumed_bed.PoorGround(scene, GRID, 0.15, eyes, lambda x, y: 0 * x)
+    # A car that was passed closely stands, a clump of haze at the same distance does not.
+    x, y, clump = np.arange(-5, -4, 0.04), np.arange(0.7, 1.7, 0.04), np.arange(0, 0.2, 0.04)
+    beside = [(u, v, 0.9) for u in x for v in y]
+    beside += [(u - 2, v + 0.7, 0.9) for u in clump for v in clump]
+    _, found, _ = poor.cover(np.array(beside), GRID, np.zeros(GRID.shape), 3.0)
+    assert (found[169, [87, 152]] > 0.8).tolist() == [True, False]
     top[row[4] - 40, 100:120] = 2.0  # a clump
     terrain = SimpleNamespace(grid=GRID, bed=0 * top, top=top, underside=low)
     layer = poor.layer_map(terrain, 0.1)
