@@ -273,7 +273,7 @@ def seen_at(x, y, z, view, scene):
     return seen and not stands_on_nothing(*place, view.lens, scene), pixel
 
 
-@jit.lean_function
+@jit.called_function
 def _draw_splash(impact, view, scene, listed, lines, seen_out, position_out, ids_out, picture):
     """List the lines of one impact, if they may show, and draw the list before it is full.
 
