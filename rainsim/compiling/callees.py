@@ -30,7 +30,7 @@ from rainsim.compiling.kernel_cache import KernelCache
 
 TESTED = ("0.68.",)  # beginnings of numba's versions
 
-TAKEN_OVER = "nrt", "fastmath", "error_model", "forceinline"  # see `CPUTargetOptions.finalize`
+TAKEN_OVER = "nrt", "fastmath", "error_model", "forceinline"  # by a callee
 
 _kernels = []  # that are being compiled, each for the one before
 
