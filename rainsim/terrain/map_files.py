@@ -105,7 +105,7 @@ def read_terrain(folder):
     if "layer" in found and found["layer"].shape not in (shape, (0, 0)):
         raise _wrong(path, f"has a layer of shape {found['layer'].shape}", f"{shape} or (0, 0)")
     _check_tops(path, found, shape)
-    if TOPS + "surface" in found:  # old versions wrote squares besides, which were zero
+    if TOPS + "surface" in found:
         found[TOPS + "surface"] = found[TOPS + "surface"][:, :3]
     return Terrain.from_arrays(found)
 
@@ -132,7 +132,8 @@ def _check_tops(path, found, shape):
     count, (rows, columns) = len(arrays["surface"]), arrays["relief"].shape
     index, patch = arrays["index"], arrays["patch"]
     fits = index.shape == (shape if count else (0, 0)) and (index < count).all()
-    fits &= arrays["surface"].shape[1] >= 3
+    squares = arrays["surface"][:, 3:]  # of old versions, which were zero
+    fits &= squares.shape[1] in (0, 3) and not squares.any()
     fits &= (patch[:, 0] + patch[:, 1] <= rows).all() and (patch[:, 2] <= columns).all()
     if not fits or not arrays["relief"].size:
         raise _wrong(path, "has tops that do not fit together", "their cells and patches in place")

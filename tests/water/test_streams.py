@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from rainsim.grid import WaterSolver
-from rainsim.shading import ground_slopes as slopes_module
-from rainsim.shading.ground_slopes import ground_slopes
 from rainsim.terrain.table import DRAIN, HARD, class_table
 from rainsim.terrain.types import MEASURED, Grid, Terrain
 from rainsim.water.puddles import puddles_of
@@ -147,14 +145,3 @@ def test_drains_and_lawns_take_the_stream():
     section = round(6.8 / BLOCK)
     before, after = (run_off(map_, still, rain).east[:, section].sum() for map_ in (road, taken))
     assert 0 < after < 0.5 * before
-
-
-# --- slopes of the ground -------------------------------------------------------------------------
-
-
-def test_slopes_of_ground_made_in_parts_are_those_of_the_whole(monkeypatch):
-    road = gutter(pit=True)
-    whole = ground_slopes(road).slopes
-    monkeypatch.setattr(slopes_module, "ROWS", 50)
-    parts = ground_slopes(road).slopes
-    assert parts.tobytes() == whole.tobytes() and np.ptp(whole[..., 2]) > 0.01
