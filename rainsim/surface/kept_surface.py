@@ -70,10 +70,12 @@ def kept_surface(scene, step=lambda: None):
     """
     if len(scene.splats) < FEWEST:
         return None
-    inputs = scene.splats, scene.ground_frame, scene.cameras
-    name = cache.name_of(*inputs)
+    name = cache.name_of(KIND, scene.splats, scene.ground_frame, scene.cameras)
     if _last[0] != name:
-        kept = cache.kept(KIND, lambda: _packed(find_surface(scene, step)), *inputs)
+        kept = cache.read(KIND, name)
+        if kept is None:
+            kept = _packed(find_surface(scene, step))
+            cache.write(KIND, name, *kept)
         _last[:] = name, _unpacked(*kept)
     return _last[1]
 
