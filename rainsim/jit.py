@@ -55,24 +55,26 @@ inlined_function = device_function(forceinline=True, _nrt=False)
 called_function = device_function(forceinline=False, _nrt=False)
 
 
-def _kernel(thorough=False, **options):
+def _kernel(in_threads=False, thorough=False, **options):
+    by_parts = in_threads and callees.IS_TESTED
     options = {"nogil": True, "error_model": "numpy", "fastmath": _FAST, **options}
-    shown = str({**options, "fastmath": sorted(_FAST), "thorough": thorough})
+    options |= {"parallel": True} if in_threads and not by_parts else {}
+    shown = {**options, "fastmath": sorted(_FAST), "thorough": thorough, "by_parts": by_parts}
 
     def decorate(function):
         kernel = njit(**options)(function)
         if not numba.config.DISABLE_JIT:
             folder = CACHE_FOLDER / function.__module__
-            kernel._cache = KernelCache(function, folder, shown)
+            kernel._cache = KernelCache(function, folder, str(shown))
             KERNELS[kernel._cache.kernel_name] = kernel
-        kernel.thorough = thorough  # see `callees`
+        kernel.thorough, kernel.by_parts = thorough, by_parts  # see `callees` and `parts`
         return kernel
 
     return decorate
 
 
-cpu_kernel = _kernel(parallel=True)
-thorough_kernel = _kernel(parallel=True, thorough=True)
+cpu_kernel = _kernel(in_threads=True)
+thorough_kernel = _kernel(in_threads=True, thorough=True)
 serial_kernel = _kernel()
 
 

@@ -202,7 +202,8 @@ def block_bounds(depth, bounds_out):
             at = j * columns + i
             bounds_out[at, 0], bounds_out[at, 1] = low, high
     blocks = rows * columns
-    for at in prange(blocks, len(bounds_out)):
+    for n in prange(len(bounds_out) - blocks):
+        at = blocks + n
         low, high = joined_at(bounds_out, rows, columns, at)
         bounds_out[at, 0], bounds_out[at, 1] = low, high
 

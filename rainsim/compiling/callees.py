@@ -1,16 +1,15 @@
 """Functions that a kernel calls are compiled for that kernel alone.
 
-numba makes machine code of each function that a kernel calls and of each body of a parallel loop.
-But it links into the kernel what they were before that, and only the kernel's machine code runs.
-Here no other is made. That takes a fourth less time, and the kernel's code is the same.
+numba makes machine code of each function that a kernel calls. But it links into the kernel what
+they were before that, and only the kernel's machine code runs. Here no other is made. That takes a
+fourth less time, and the kernel's code is the same.
 
 Before they are linked these functions are optimised as the whole kernel is afterwards. Here they
 get the cheap passes alone, for another fourth of the time. Few kernels run slower for it; they are
 marked `thorough`.
 
-numba compiles a function once more for each set of its callers' flags: for the body of a parallel
-loop, too, which has a flag of its own. Here it does so for flags that a function takes over from
-its callers alone, which saves a twelfth of the time.
+numba compiles a function once more for each set of its callers' flags. Here it does so for flags
+that a function takes over from its callers alone, which saves a twelfth of the time.
 
 numba has no setting for this, so it is tied to the releases that it was tested with; with others
 kernels are compiled as numba does it.
@@ -27,8 +26,9 @@ from numba.core.targetconfig import ConfigStack
 from numba.core.typing.templates import _OverloadFunctionTemplate
 
 from rainsim.compiling.kernel_cache import KernelCache
+from rainsim.compiling.parts import in_parts
 
-TESTED = ("0.68.",)  # beginnings of numba's versions
+IS_TESTED = numba.__version__.startswith("0.68.")
 
 TAKEN_OVER = "nrt", "fastmath", "error_model", "forceinline"  # by a callee
 
@@ -90,6 +90,8 @@ class _Compiling(event.Listener):
         kernel = event.data["dispatcher"]
         if not isinstance(getattr(kernel, "_cache", None), KernelCache):
             return
+        if kernel.by_parts:
+            kernel._compiler.py_func = in_parts(kernel.py_func)
         _kernels.append(kernel)
         if len(_kernels) > 1:
             return
@@ -97,7 +99,7 @@ class _Compiling(event.Listener):
         # cycles among them it takes a tenth less time.
         self._collects = gc.isenabled()
         gc.disable()
-        if numba.__version__.startswith(TESTED):
+        if IS_TESTED:
             codegen = kernel.targetctx.codegen()
             codegen._library_class = _Library
             codegen.set_env = functools.partial(_set_environment, codegen)
@@ -115,7 +117,7 @@ class _Compiling(event.Listener):
             return
         if self._collects:
             gc.enable()
-        if numba.__version__.startswith(TESTED):
+        if IS_TESTED:
             codegen = kernel.targetctx.codegen()
             del codegen._library_class, codegen.set_env
             _OverloadFunctionTemplate._get_impl = self._numbas

@@ -93,7 +93,7 @@ def test_what_is_no_kernel_is_compiled_as_numba_does_it():
 
 
 def test_with_another_numba_kernels_are_compiled_as_it_does(monkeypatch, poisoned):
-    monkeypatch.setattr(callees, "TESTED", ("no release",))
+    monkeypatch.setattr(callees, "IS_TESTED", False)
     before = _with_code()
     found = poisoned(len(X))
     _made(serial_kernel)[0](X, found)
