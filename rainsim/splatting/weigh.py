@@ -39,9 +39,11 @@ def weigh_tiles(record, entry, start, width, part, step, weight_out):
         longest = max(longest, start[tile + 1] - start[tile])
     taken = none_taken()
     for _ in prange(TAKERS):
+        tile = take_next(taken)
+        if tile >= tiles:  # as in most iterations: no arrays are made
+            continue
         clear, mine = np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.float32)
         spare, histogram = np.empty(longest, np.uint64), np.empty(DIGITS, np.int64)
-        tile = take_next(taken)
         while tile < tiles:
             top, left = tile // across * TILE, tile % across * TILE
             columns = (min(TILE, width - left) + step - 1) // step

@@ -86,3 +86,22 @@ def test_with_another_numba_its_own_way_is_taken(monkeypatch):
     assert "parallel" not in cpu_kernel(_in_three_loops).targetoptions
     monkeypatch.setattr(callees, "IS_TESTED", False)
     assert jit._kernel(in_threads=True)(_in_three_loops).targetoptions["parallel"]
+
+
+def test_no_thread_counts_references_to_what_all_read():
+    """Where they did, in one place, the light of a capture took a fifth longer with two threads."""
+
+    @cpu_kernel
+    def first_of_rows(rows, pair, x_out):
+        for i in prange(len(rows)):
+            row, other = rows[i], pair[1][i]
+            x_out[i] = row[0] + other[0]
+
+    x = np.arange(6.0).reshape(3, 2)
+    found = np.full(3, np.nan)
+    first_of_rows(x, (1, x), found)
+    np.testing.assert_array_equal(found, [0, 4, 8])
+    ((code),) = first_of_rows.inspect_llvm().values()
+    part = code.partition("define internal void")[2].partition("\n}")[0]
+    assert "fadd" in part
+    assert "NRT_" not in part
