@@ -3,7 +3,8 @@
 numba's own way, `parallel=True`, looks for more than such loops, types their bodies twice and makes
 a ufunc of each, which takes a fifth of the time of compiling. Here a loop becomes a function of its
 first and last iteration and of what it reads, and the kernel gives that to the threads. What a loop
-writes but arrays is its own: it cannot add up a number over its iterations.
+writes but arrays is its own: it cannot add up a number over its iterations. Kernels raise nothing,
+so an error in a part is not passed on.
 
 As with numba's own the loop's variable is a uint64, of which arrays ask no sign.
 """

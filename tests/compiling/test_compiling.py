@@ -246,6 +246,18 @@ def test_what_no_longer_fits_is_skipped_and_said(module):
     assert importlib.import_module(module).triple(2) == 6
 
 
+def test_a_process_goes_on_in_its_rooms_and_begins_those_of_others_last():
+    rows = ("rainsim.rain.a:f", 1), ("rainsim.water.b:f", 3), ("rainsim.terrain.c:f", 2), ("m:f", 4)
+    entries = [Recorded(name, "int64", float(n), "frames", ("after",)) for name, n in rows]
+    with Pool(entries, 0) as pool:  # no process takes any
+        pool._rooms = {("rainsim", "rain"), ("rainsim", "water")}
+        pool._jobs["m:f"].wanted = True
+        mine = {("rainsim", "rain")}
+        taken = [pool._next(mine).kernel for _ in rows]
+        assert taken == ["m:f", "rainsim.rain.a:f", "rainsim.terrain.c:f", "rainsim.water.b:f"]
+        assert mine == {("m:f",), *pool._rooms} and pool._next(mine) is None
+
+
 @without_jit
 def test_a_pool_that_is_closed_or_killed_holds_nobody_up(module):
     kernels = importlib.import_module(module)
