@@ -12,7 +12,7 @@ import click
 from rainsim.commands import options
 from rainsim.commands.given import require_backend
 from rainsim.commands.options import option
-from rainsim.commands.status import Status
+from rainsim.commands.status import Status, interrupt
 from rainsim.errors import DivergedError, InputError, ParameterError, require_positive
 
 SAVE_EVERY = 60.0  # s of the clock, after a step
@@ -298,9 +298,9 @@ def _interrupts(has_begun):
     """
     pressed = threading.Event()
 
-    def press(*_):
+    def press(number, frame):
         if pressed.is_set() or not has_begun():
-            raise KeyboardInterrupt
+            interrupt(number, frame)
         pressed.set()
 
     own = threading.current_thread() is threading.main_thread()

@@ -1,10 +1,12 @@
 """What the user sees while a command runs: lines and bars on stderr."""
 
+import os
 import signal
 import sys
 import threading
 import time
 from contextlib import contextmanager
+from traceback import walk_stack
 
 import click
 
@@ -21,6 +23,7 @@ QUARTERS = 4  # without a terminal compiling reports this often at least
 BEAT = 10.0  # s after which a stage reports again without a terminal
 TICK = 1.0  # s between looks at the clock
 LEAST_LEFT = 5.0  # s; less is not worth saying
+LOADING = os.path.join("llvmlite", "binding", "executionengine.py")
 
 _pressed = threading.Event()  # Ctrl-C, in this command, and no interrupt has been seen since
 
@@ -40,7 +43,7 @@ def interrupts_remembered():
         return
     said = sys.unraisablehook
     sys.unraisablehook = lambda lost: lost.exc_type is KeyboardInterrupt or said(lost)
-    signal.signal(signal.SIGINT, _interrupt)
+    signal.signal(signal.SIGINT, interrupt)
     try:
         yield
     finally:
@@ -48,15 +51,14 @@ def interrupts_remembered():
         sys.unraisablehook = said
 
 
-def _interrupt(number, frame):
+def interrupt(number, frame):
+    """Raise KeyboardInterrupt; while a kernel is loaded, leave that to the next progress.
+
+    LLVM asks for a kept kernel by a callback. What is raised in there is dropped, and the kernel
+    that LLVM then misses ends the process.
+    """
     _pressed.set()
-    signal.default_int_handler(number, frame)
-
-
-def _raise_forgotten():
-    """Raise the KeyboardInterrupt of a Ctrl-C that was dropped."""
-    if _pressed.is_set() and threading.current_thread() is threading.main_thread():
-        _pressed.clear()
+    if not any(above.f_code.co_filename.endswith(LOADING) for above, _ in walk_stack(frame)):
         raise KeyboardInterrupt
 
 
@@ -72,9 +74,8 @@ class Status:
 
     def __init__(self, quiet=False, verbose=True):
         self.quiet, self.verbose = quiet, verbose
-        self._stage, self._bar = None, None
-        self._compiling, self._lock = None, threading.RLock()
-        self._said = set()
+        self._stage = self._bar = self._compiling = None
+        self._lock, self._said = threading.RLock(), set()
         self._start = self._since = time.perf_counter()
         self.spent, self._counted, self._compiled_from = {}, "start", None
         self._ticking, self._ended = None, threading.Event()
@@ -139,7 +140,9 @@ class Status:
 
     def progress(self, stage, done, total):
         """Show that `done` of `total` parts of a stage are done."""
-        _raise_forgotten()
+        if _pressed.is_set() and threading.current_thread() is threading.main_thread():
+            _pressed.clear()
+            raise KeyboardInterrupt
         self.count(stage)
         if self.quiet:
             return

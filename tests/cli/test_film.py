@@ -9,10 +9,12 @@ import subprocess
 import sys
 import time
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
 from rainsim import pipeline, simulation
+from rainsim.commands.status import Status, interrupts_remembered
 from rainsim.errors import DivergedError
 from rainsim.io.images import read_image
 from rainsim.output_folder.frames import FrameFolder
@@ -329,6 +331,28 @@ def test_ctrl_c_that_a_callback_swallows_still_ends_a_run(film, tmp_path, monkey
     assert len(pictures(tmp_path / "out")) == (1 if pressed else 3)
     assert record(tmp_path / "out")["complete"] != pressed
     assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
+
+
+def test_ctrl_c_while_a_kernel_is_loaded_waits_for_the_next_progress():
+    module = llvm.parse_assembly("define i32 @one() { ret i32 1 }")
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    engine = llvm.create_mcjit_compiler(module, machine)
+    went_on = []
+
+    def find_kept(module):
+        signal.raise_signal(signal.SIGINT)
+        went_on.append(module)
+
+    engine.set_object_cache(None, find_kept)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with interrupts_remembered():
+            engine.finalize_object()
+            assert len(went_on) == 1
+            with pytest.raises(KeyboardInterrupt):
+                Status(quiet=True).progress("simulate", 0, 1)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.slow
