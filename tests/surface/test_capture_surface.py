@@ -380,6 +380,20 @@ def test_a_far_white_house_stays_and_what_the_sky_hides_goes(yard):
     assert blind[1].mean() > 0.9 and not blind[3].any()  # by distance alone
 
 
+def test_a_speck_that_no_camera_sees_before_the_sky_goes(yard):
+    speck = [0, 0, 0.1, 1.5]  # px: on land, on sky, beside the sky; and if there were no sky
+    light = np.float64([speck, speck, [1.0, 0, 0.5, 1.5], [0, 1.4, 0, 1.5], [4, 0, 0.4, 1.5]])
+    lit, veiled = np.int16([[0, 1, 1, 0, 0], [1, 1, 1, 0, 1]])
+    scene = replace(yard, splats=factories.splats([[0, 9, 3]] * 5, scale=0.01, color=(0.1, 0, 0)))
+    colors = SimpleNamespace(at=lambda way: 0 * way, off=lambda color, way: 3 + 0 * way[:, 0])
+    lens = [SimpleNamespace(lens=(100,))]
+    found, _ = kept_surface._sky_splats(
+        scene, lens, colors, np.float32([[0, 9, 3]] * 5), np.ones(5, bool), np.zeros(3, "f4"),
+        light, lit, veiled,
+    )  # fmt: skip
+    assert found.tolist() == [True, False, False, False, False]
+
+
 def test_few_splats_have_no_surface(yard):
     assert kept_surface.kept_surface(replace(yard, splats=yard.splats.take(slice(0, 20)))) is None
 
