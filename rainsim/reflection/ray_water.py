@@ -1,5 +1,7 @@
 """Intersection of view rays with the water: distances, and the share of each pixel it covers."""
 
+import math
+
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
@@ -19,6 +21,7 @@ LEAST_DIP = np.float32(-0.01)  # rays flatter than this meet water in the haze, 
 LEAST_COVERAGE = np.float32(0.004)  # a smaller share does not change an 8-bit picture
 CLOSE_ENOUGH = np.float32(5e-5)  # m of height between two steps towards the surface
 MOST_STEPS = 6
+MOST_PLACES = 8  # in a pixel, where the water's depth is looked up; two cells apart
 FAR_OFF = np.float32(5e-3)  # m of height between the last two steps: they do not meet the surface
 
 # Rows of a chunk's numbers: depth of the scene [m], the ray for a depth of 1, the depth [m] that
@@ -62,21 +65,16 @@ def meet_row(row, depth, view, water_map, highest, cover, hit_out, coverage_out)
     width = depth.shape[1]
     s, place = np.empty(NUMBERS, np.float32), np.empty(CHUNK, np.uint32)
     corner = np.empty(CORNERS, np.float32)
-    count = 0
-    b = row_slope(view, row)
+    count, b = 0, row_slope(view, row)
     for left in range(0, width, CHUNK):
         n = min(CHUNK, width - left)
-        here = coverage_out[left : left + n]
+        here, hit = coverage_out[left : left + n], hit_out[left : left + n]
         low = aim(depth[row, left : left + n], view, highest, left, b, n, s)
         if low > 0:
             follow(view, water_map, n, s, place, corner)
-            count += cover_chunk(
-                depth, row, left, view, water_map, cover, n, s, place, corner,
-                hit_out[left : left + n], here,
-            )  # fmt: skip
+            count += cover_chunk(depth, row, left, view, water_map, cover, n, s, hit, here)
         else:
-            for i in range(n):
-                here[i] = ZERO
+            here[:] = ZERO
     return count
 
 
@@ -135,49 +133,52 @@ def find_cells(view, water_map, n, s):
 
 
 @inlined_function
-def cover_chunk(
-    depth, row, left, view, water_map, cover, n, s, place, corner, hit_out, coverage_out
-):
+def cover_chunk(depth, row, left, view, water_map, cover, n, s, hit_out, coverage_out):
     """Write where n rays have met the water and how much it covers; return how often it does."""
     ny, nx = water_map.surface.shape
     right, bottom = np.float32(nx - 2), np.float32(ny - 2)
-    thin, full = cover[0], cover[1]
     find_cells(view, water_map, n, s)
+    up, count = view.eye[2], 0
     for i in range(n):
-        u, v = s[U + i], s[V + i]
-        met = (s[WAY + i] > ZERO) & (s[STEP + i] <= FAR_OFF)
-        met = met & (u > ONE) & (v > ONE) & (u <= right) & (v <= bottom)
-        s[STEP + i] = ONE if met else ZERO
-    interpolate(water_map.depth, n, s, U, V, place, corner)
-    up = view.eye[2]
-    for i in range(n):
-        if s[STEP + i] > ZERO and (s[DEPTH + i] - s[WAY + i]) * s[RAY_Z + i] > HIDE_LOW:
-            if is_speck(depth, view, row, left + i, up + s[WAY + i] * s[RAY_Z + i]):
-                s[DEPTH + i] = s[WAY + i]
-    count = 0
-    for i in range(n):
-        behind = s[DEPTH + i] - s[WAY + i]
-        covers = s[STEP + i] * covered(s[U + i], behind, s[RAY_Z + i], thin, full)
-        covers = covers if covers > LEAST_COVERAGE else ZERO
-        s[U + i] = covers
+        t, u, v, z, covers = s[WAY + i], s[U + i], s[V + i], s[RAY_Z + i], ZERO
+        inside = (u > ONE) & (v > ONE) & (u <= right) & (v <= bottom)
+        if inside & (t > ZERO) & (s[STEP + i] <= FAR_OFF):
+            behind = s[DEPTH + i] - t
+            if behind * z > HIDE_LOW and is_speck(depth, view, row, left + i, up + t * z):
+                behind = ZERO
+            x, y = s[RAY_X + i], s[RAY_Y + i]
+            covers = covered(view, water_map, x, y, z, t, u, v, behind, cover)
+        coverage_out[i], hit_out[i] = covers, t
         count += np.int64(covers > ZERO)
-    for i in range(n):
-        coverage_out[i] = s[U + i]
-    for i in range(n):
-        hit_out[i] = s[WAY + i]
     return count
 
 
 @inlined_function
-def covered(water_depth, behind, z, thin, full):
-    """Return the share of a pixel that water of a depth [m] covers.
+def covered(view, water_map, x, y, z, t, u, v, behind, cover):
+    """Return the share of a pixel that the water covers, which its ray meets in cell (u, v).
 
-    It grows from 0 at the depth `thin` to 1 at `full`; what the picture shows above the water
-    hides the water, softly at the contact. `behind` is how far beyond the water the scene lies
-    along the view axis [m], z the ray's fall along that axis.
+    At one place the share grows with the depth, from 0 to 1, as `cover` says. Far off a pixel is a
+    metre long along its ray, and puddles are shorter: the mean of places along it is taken. What
+    the picture shows above the water hides it, softly at the contact.
+
+    (x, y, z) is the ray for a depth of 1, t the depth of the water and `behind` how far beyond it
+    the scene lies, both along the view axis [m].
     """
-    above = behind * z  # m, height of the scene over the water
-    return smoothstep(thin, full, water_depth) * (ONE - smoothstep(HIDE_LOW, HIDE_HIGH, above))
+    shown = ONE - smoothstep(HIDE_LOW, HIDE_HIGH, behind * z)  # height of the scene over the water
+    if shown <= ZERO:
+        return ZERO
+    m = view.ground_from_camera
+    across, down = m[2, 0] / view.fx, m[2, 1] / view.fy  # by which z changes from pixel to pixel
+    long = t * math.sqrt(across * across + down * down) / (z * water_map.spacing)
+    du, dv = long * x, long * y
+    count = min(int(math.sqrt(du * du + dv * dv) * HALF) + 1, MOST_PLACES)
+    share, part = ZERO, ONE / np.float32(count)
+    for k in range(count):
+        at = (np.float32(k) + HALF) * part - HALF
+        depth = bilinear(water_map.depth, u + at * du, v + at * dv)
+        share += part * smoothstep(cover[0], cover[1], depth)
+    share *= shown
+    return share if share > LEAST_COVERAGE else ZERO
 
 
 @lean_function

@@ -346,3 +346,27 @@ def test_a_camera_at_or_under_the_water_sees_none_and_nothing_breaks(above):
         light, source,
     )  # fmt: skip
     np.testing.assert_allclose(light, 0.25, rtol=1e-5)
+
+
+def test_puddles_shorter_than_a_pixel_cover_their_share_of_it():
+    spacing, up, turn = np.float32(0.05), 1.5, np.float32([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+    place = (np.arange(1400) + 0.5) * spacing
+    deep = np.tile(np.where(place % 0.9 < 0.3, 0.005, 0).astype("f4"), (80, 1))
+    level = np.zeros_like(deep)
+    water_map = WaterMap(level, deep, level + 1, np.float32([0, -2]), spacing)
+
+    def covers(finer):  # rows below a level camera's horizon that show the ground from 5 m on
+        height, eye = 30 * finer, np.float32([0, 0, up])
+        view = View(turn, eye, *np.float32([100, 100 * finer, 2, -2.2 * finer]))
+        row = np.arange(height)
+        depth = 100 * finer * up / (row + 0.5 + 2.2 * finer)
+        depth = np.tile(depth.astype("f4")[:, None], (1, 4))
+        hit, covered = np.full((2, height, 4), np.nan, np.float32)
+        given = depth, view, water_map, np.float32(0), row, np.float32([4e-4, 2.2e-3])
+        ray_water.meet_water(*given, hit, covered, np.empty(height, np.int64))
+        return covered
+
+    coarse, fine = covers(1), covers(32).reshape(30, 32, 4).mean(axis=1)
+    assert 0.2 < fine[:16].mean() < 0.5 and fine[16:].std() > 0.2
+    np.testing.assert_allclose(coarse[:16], fine[:16], atol=0.15)  # of half a metre and more
+    assert np.abs(coarse[:16] - fine[:16]).mean() < 0.07

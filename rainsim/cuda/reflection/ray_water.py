@@ -4,10 +4,8 @@ import numpy as np
 
 from rainsim.constants import ONE, ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.numerics.interpolation import bilinear
 from rainsim.reflection.ray_water import (
     HIDE_LOW,
-    LEAST_COVERAGE,
     LEAST_DIP,
     NOTHING,
     SPECK,
@@ -41,6 +39,5 @@ def meet_water(depth, view, water_map, highest, cover, hit_out, coverage_out):
         return
     if (behind - t) * z > HIDE_LOW and is_speck(depth, view, row, column, view.eye[2] + t * z):
         behind = t
-    covers = covered(bilinear(water_map.depth, u, v), behind - t, z, cover[0], cover[1])
-    if covers > LEAST_COVERAGE:
-        coverage_out[row, column], hit_out[row, column] = covers, t
+    covers = covered(view, water_map, x, y, z, t, u, v, behind - t, cover)
+    coverage_out[row, column], hit_out[row, column] = covers, t
