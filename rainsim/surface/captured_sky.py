@@ -117,6 +117,8 @@ class SkyColors:
         more, high = self._more(view.light, direction, exposure), direction[..., 2]
         off = np.abs(more).max(axis=-1)
         near = ndimage.median_filter((off < SAME) & (high > LOWEST), 3)
+        smooth, count = ndimage.label(_likely(view, direction))  # goes on where the map is a guess
+        near |= (ndimage.mean(near, smooth, np.arange(count + 1)) > 0.5)[smooth] & (smooth > 0)
         cloud = ~near & (more.min(axis=-1) > -SAME) & (high > LOWEST)
         sky = near | _clouds(cloud, near, high)
         label, count = ndimage.label(sky)

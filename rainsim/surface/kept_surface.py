@@ -296,7 +296,8 @@ def _sky_splats(scene, views, colors, position, alone, middle, light, lit, veile
         alike = alone & (off < ABOUT_SKY)
         found = (sky / seen > MOSTLY) & (bright | alike | wide)
         likely = (sky / (land + sky) > LIKELY) & (bright | alike)
-    high, hidden = direction[:, 2], before_sky > HIDDEN * (land + rim)
+    high = direction[:, 2]
+    hidden = (before_sky > HIDDEN * (land + rim)) & (veiled >= lit)
     needle = (before_sky > 4 * SPECK) | ((veiled > 0) & (lit == 0))
     needle &= hidden & (sky < VEILED * before_sky)
     needle |= (veiled > OFTENER * lit) & (veiled >= LEAST)
