@@ -144,6 +144,19 @@ def test_regions_of_a_picture_are_judged_whole():
     assert (part[41:45, 21:25] == 0).all() and (part[42:44, 42:44] == 1).all()
 
 
+def test_the_sky_goes_on_where_it_darkens_smoothly_and_ends_at_an_edge():
+    others = [view_of(blue_over_wall(), 0.43 + 0.02 * k) for k in range(4)]
+    shade = {"sky": np.linspace(0, -0.8, 30), "front": np.full(30, -0.8)}
+    for name, darker in shade.items():
+        light = blue_over_wall()
+        light[:30, 50:] *= np.exp(darker, dtype=np.float32)[:, None]
+        light[30:] = (0.2, 0.15, 0.1)
+        pictures = [view_of(light, 0.45), *others]
+        part = captured_sky.SkyColors(pictures).parts(pictures)[0][0]
+        assert (part[3:25, 3:45] == 1).all()
+        assert (part[3:25, 70:77] == (1 if name == "sky" else -1)).all()
+
+
 def test_a_ceiling_that_differs_from_place_to_place_is_no_sky():
     lamp = np.linspace(-0.8, 0.8, 80, dtype=np.float32)[:, None]  # light falls off to a side
     pictures = [
@@ -380,18 +393,19 @@ def test_a_far_white_house_stays_and_what_the_sky_hides_goes(yard):
     assert blind[1].mean() > 0.9 and not blind[3].any()  # by distance alone
 
 
-def test_a_speck_that_no_camera_sees_before_the_sky_goes(yard):
+def test_what_the_sky_hides_goes_unless_cameras_see_it(yard):
     speck = [0, 0, 0.1, 1.5]  # px: on land, on sky, beside the sky; and if there were no sky
-    light = np.float64([speck, speck, [1.0, 0, 0.5, 1.5], [0, 1.4, 0, 1.5], [4, 0, 0.4, 1.5]])
-    lit, veiled = np.int16([[0, 1, 1, 0, 0], [1, 1, 1, 0, 1]])
-    scene = replace(yard, splats=factories.splats([[0, 9, 3]] * 5, scale=0.01, color=(0.1, 0, 0)))
+    slate = [15, 1, 0, 18]
+    light = np.float64([speck, speck, [1.0, 0, 0.5, 1.5], [0, 1.4, 0, 1.5], slate, slate])
+    lit, veiled = np.int16([[0, 1, 1, 0, 4, 1], [1, 1, 1, 0, 2, 2]])
+    scene = replace(yard, splats=factories.splats([[0, 9, 3]] * 6, scale=0.01, color=(0.1, 0, 0)))
     colors = SimpleNamespace(at=lambda way: 0 * way, off=lambda color, way: 3 + 0 * way[:, 0])
     lens = [SimpleNamespace(lens=(100,))]
     found, _ = kept_surface._sky_splats(
-        scene, lens, colors, np.float32([[0, 9, 3]] * 5), np.ones(5, bool), np.zeros(3, "f4"),
+        scene, lens, colors, np.float32([[0, 9, 3]] * 6), np.ones(6, bool), np.zeros(3, "f4"),
         light, lit, veiled,
     )  # fmt: skip
-    assert found.tolist() == [True, False, False, False, False]
+    assert found.tolist() == [True, False, False, False, False, True]
 
 
 def test_few_splats_have_no_surface(yard):
