@@ -22,7 +22,7 @@ class DrawnCapture:
     """A capture in the colours of the present time, with what moves where it is now.
 
     backdrop : Backdrop. Its scene is drawn, or `scene`.
-    scene : Scene. That of `backdrop`, perhaps without shreds of its sky.
+    scene : Scene. That of `backdrop`.
     present : PresentSplats
     colors : tuple. State of `present` at the start.
     badly_placed : bool array (n,). Splats that mirrored pictures and the

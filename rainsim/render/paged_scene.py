@@ -17,7 +17,6 @@ from rainsim.lod.room import room_for
 from rainsim.raster import prepare
 from rainsim.scene.harmonics import padded
 from rainsim.shading.diffuse import level_cells, share_of_level, without_gloss
-from rainsim.shading.visibility import pale
 from rainsim.shading.wet_ground_mirror import as_in_level_picture, in_level_picture
 
 STANDING = 1.4  # times the threshold in what wet ground mirrors: with coarser levels lamps fade
@@ -31,8 +30,6 @@ class PagedScene:
         `backdrop` kept.
     diffuse : array (n, 3) or None. As `gain`.
     badly_placed : bool array (n,). As `gain`.
-    leave_out : bool. Whether badly placed splats as pale as the sky are not drawn
-        at all.
     reach, lawn : float32 array (ny, nx). See `diffuse.level_cells`.
     render : RenderConfig
     rasterizer_of : callable
@@ -41,13 +38,12 @@ class PagedScene:
     """
 
     def __init__(
-        self, backdrop, gain, diffuse, badly_placed, leave_out, terrain, reach, lawn,
-        render, rasterizer_of,
-    ):  # fmt: skip
+        self, backdrop, gain, diffuse, badly_placed, terrain, reach, lawn, render, rasterizer_of
+    ):
         scene = backdrop.scene
         self._scene, self._backdrop = scene, backdrop
         self._terrain, self._gain, self._diffuse = terrain, gain, diffuse
-        self._bad, self._leave_out = badly_placed, leave_out
+        self._bad = badly_placed
         self._cells = None if diffuse is None else level_cells(terrain, reach, lawn)
         self._nearest, self._colors = cKDTree(scene.splats.position), (0.0, 0.0)
         self._most = scene.splats.sh.shape[1]
@@ -109,9 +105,6 @@ class PagedScene:
             return splats, bad
         near = self._nearest.query(splats.position)[1]
         bad = self._bad[near]
-        if self._leave_out:
-            opacity = np.where(bad & pale(splats), np.float32(0), splats.opacity)
-            splats = replace(splats, opacity=opacity)
         clouds, wet = self._colors
         if wet > 0:
             level = share_of_level(splats, frame, self._terrain, self._cells)

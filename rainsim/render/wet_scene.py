@@ -26,7 +26,7 @@ from rainsim.shading.grading import DULL_EXPOSURE, SHINES, Look, look_of, replac
 from rainsim.shading.skyline import skylines
 from rainsim.shading.surface_depth import find_surface_depth
 from rainsim.shading.surface_point import GroundMaps
-from rainsim.shading.visibility import badly_placed, views_of_splats, without_shreds
+from rainsim.shading.visibility import badly_placed, views_of_splats
 from rainsim.shading.wet_pass import NO_COVER, dry_picture, grade_and_wet
 from rainsim.shading.wetness import OffGroundWetness
 from rainsim.shading.wetting import SkyMaps
@@ -87,10 +87,6 @@ class WetScene:
         views = views()
         diffuse = None if views is None else views.diffuse
         bad = badly_placed(self.scene, views)
-        leave_out = not backdrop.count and replaces_sky(config)
-        if leave_out:
-            self.scene, told = without_shreds(self.scene, bad)
-            self.notes += told
         # Sheets that show poor ground would hide from water what stands behind them.
         bad = bad | open_sheets(terrain, self.frame.to_ground(self.scene.splats.position))
         if bad.any():
@@ -106,9 +102,7 @@ class WetScene:
         present = PresentSplats(self.scene, gain, diffuse, *where, self.ground.standing)
         paged = None
         if scene.pages is not None:
-            paged = PagedScene(
-                backdrop, gain, diffuse, bad, leave_out, *where, config.render, rasterizer_of,
-            )  # fmt: skip
+            paged = PagedScene(backdrop, gain, diffuse, bad, *where, config.render, rasterizer_of)
         if normals is not None:
             normals = [a[backdrop.kept] for a in normals()]
         trim()  # what the light was found in

@@ -7,7 +7,6 @@ would hide the sky.
 """
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,15 +17,13 @@ from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.view import lens_array
-from rainsim.shading.color import LUMA, LUMA_B, LUMA_G, LUMA_R, roughly_linear
-from rainsim.shading.grading import SKY_BLUE, SKY_DULL
+from rainsim.shading.color import LUMA_B, LUMA_G, LUMA_R
 from rainsim.splatting import project
 
 MOST_CAMERAS = 64  # of the capture, evenly spaced, that are asked
 WIDTH = 320  # px of their depth pictures
 LEAST_SHARE = 0.04  # of the cameras; splats that fewer see are badly placed
 SLACK, LEAST_SLACK = np.float32(1.15), np.float32(0.05)  # of the depth, and capture units: in sight
-PALE = 0.45  # linear luminance of a captured sky, at least; roofs are darker
 DARKEST = np.float32(0.05)  # display value that keeps black views from having all the weight
 NEAR = np.float32(0.1)  # capture units
 
@@ -45,24 +42,6 @@ def badly_placed(scene, views):
     eye = np.mean([camera.position for camera in scene.cameras], axis=0)
     above = (scene.splats.position - eye.astype(np.float32)) @ scene.ground_frame.up.astype("f4")
     return (views.seen < LEAST_SHARE * views.asked) & (above > 0)
-
-
-def pale(splats):
-    """Return which splats are as bright and as little green as a sky, ndarray (n,) of bool."""
-    color = roughly_linear(np.float32(0.5) + np.float32(SH_0) * splats.sh[:, 0])
-    light = color @ LUMA
-    blue = color[:, 2] / np.maximum(color[:, :2].max(axis=1), np.float32(1e-3))
-    return (light > PALE) & (blue > 0.5 * (SKY_DULL + SKY_BLUE))
-
-
-def without_shreds(scene, badly_placed):
-    """Return a scene without the badly placed splats (n,) that are pale as the sky, and notes."""
-    shreds = badly_placed & pale(scene.splats)
-    if not shreds.any():
-        return scene, []
-    opacity = np.where(shreds, np.float32(0), scene.splats.opacity)
-    scene = replace(scene, splats=replace(scene.splats, opacity=opacity))
-    return scene, [f"{shreds.sum()} splats of the captured sky are left out"]
 
 
 class Views(NamedTuple):

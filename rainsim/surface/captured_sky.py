@@ -17,7 +17,10 @@ LOWEST = -0.01  # sine of the elevation from which on a pixel may show the sky
 DULL, BLUE = 0.6, 0.8  # blue over the largest channel: no sky, likely sky
 DARK = 0.1  # linear luminance below which nothing is the sky of a day
 EVEN = 0.15  # range of the logarithm of luminance about a pixel of the sky
-BELOW, WALL = -0.05, 0.1  # sine of an elevation, share of a wall's pixels that are lower
+WALL = (
+    0.015,
+    0.06,
+)  # sines of the elevations, below and above the horizon, between which walls go on
 ABOUT = 5  # px, side of the square in which that is measured
 BRIGHTER = 0.7  # quantile of the cameras: things before the sky are darker
 STEP = 0.25  # logarithm of a channel between texels of the sky, at most
@@ -68,21 +71,22 @@ class SkyColors:
     def _is_doubtful(self, views):
         """Tell whether the map's colour is also that of land, so that it tells no sky.
 
-        Fog, or a room of one grey, has it below the horizon, too. And under a grey sky nothing is
-        brighter than the sky: else it is a pale wall.
+        Fog, or a room of one grey, has it below the horizon, too, and walls go on there without an
+        edge. And under a grey sky nothing is brighter than the sky: else it is a pale wall.
         """
 
         def counted(view, exposure):
-            direction = directions(view)[::2, ::2]
-            more = self._more(view.light[::2, ::2], direction, exposure)
+            direction, even = directions(view), _is_even(view)
+            more = self._more(view.light, direction, exposure)
             near, high = np.abs(more).max(axis=-1) < SAME, direction[..., 2]
             land, above = high < 2 * LOWEST, high > -LOWEST
-            parts = land, near & land, near & above, (more.min(axis=-1) > SAME) & above
+            wall = near & above & _goes_below(near & even, high)
+            parts = land, near & land, near & above, (more.min(axis=-1) > SAME) & above, wall
             return [np.count_nonzero(part) for part in parts]
 
         counts = of_each(counted, views, self.exposure)
-        below, alike, sky, brighter = np.sum(counts, axis=0)
-        if alike > LIKE_LAND * max(below, 1):
+        below, alike, sky, brighter, walls = np.sum(counts, axis=0)
+        if alike > LIKE_LAND * max(below, 1) or walls > 0.5 * max(sky, 1):
             return True
         return _is_grey(self.color.reshape(-1, 3)) and brighter > BRIGHT_LAND * max(sky, 1)
 
@@ -187,19 +191,27 @@ def seen_sky(views, shown):
 
 
 def _likely(view, direction):
-    """Return which pixels are even, bright and blue or grey, and above the horizon.
-
-    Not those of a region that goes on far below it: a white wall.
-    """
-    light = view.light @ LUMINANCE_WEIGHTS.astype(np.float32)
+    """Return which pixels are even, bright and blue or grey, and above the horizon; not walls."""
     blue = view.light[..., 2] / np.maximum(view.light.max(axis=-1), 1e-3)
-    log = np.log(np.maximum(light, 0.01))
-    even = ndimage.maximum_filter(log, ABOUT) - ndimage.minimum_filter(log, ABOUT) < EVEN
-    likely, high = even & (light > DARK) & (blue > BLUE), direction[..., 2]
-    label, count = ndimage.label(likely)
-    low = np.bincount(label.ravel(), high.ravel() < BELOW, minlength=count + 1)
-    wall = low > WALL * np.bincount(label.ravel(), minlength=count + 1)
-    return likely & ~wall[label] & (high > 0)
+    bright, high = view.light @ LUMINANCE_WEIGHTS.astype(np.float32) > DARK, direction[..., 2]
+    likely = _is_even(view) & bright & (blue > BLUE)
+    return likely & ~_goes_below(likely, high) & (high > 0)
+
+
+def _is_even(view):
+    log = np.log(np.maximum(view.light @ LUMINANCE_WEIGHTS.astype(np.float32), 0.01))
+    return ndimage.maximum_filter(log, ABOUT) - ndimage.minimum_filter(log, ABOUT) < EVEN
+
+
+def _goes_below(some, high):
+    """Return which of some pixels belong to a region that goes on below the horizon: a wall.
+
+    `high` is the sine of the elevation. The sky ends at an edge there.
+    """
+    label, count = ndimage.label(some & (high > -WALL[1]))
+    bands = high < -WALL[0], (high > WALL[0]) & (high < WALL[1])
+    low, up = (np.bincount(label.ravel(), band.ravel(), count + 1) for band in bands)
+    return ((low > 0.5 * up) & (up > 0))[label] & (label > 0)
 
 
 def _seen(views):

@@ -157,6 +157,14 @@ def test_the_sky_goes_on_where_it_darkens_smoothly_and_ends_at_an_edge():
         assert (part[3:25, 70:77] == (1 if name == "sky" else -1)).all()
 
 
+def test_a_pale_wall_that_goes_on_below_the_horizon_is_no_sky():
+    for foot in (46, 54):  # rows: the horizon's, and one of a wall near by
+        light = np.full((60, 80, 3), (0.25, 0.4, 0.7), np.float32)
+        light[foot:] = (0.1, 0.08, 0.05)
+        colors = captured_sky.SkyColors([view_of(light, 0.2 + 0.002 * k) for k in range(4)])
+        assert (colors.color is None) == (foot == 54)
+
+
 def test_a_ceiling_that_differs_from_place_to_place_is_no_sky():
     lamp = np.linspace(-0.8, 0.8, 80, dtype=np.float32)[:, None]  # light falls off to a side
     pictures = [
