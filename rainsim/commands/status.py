@@ -23,7 +23,7 @@ QUARTERS = 4  # without a terminal compiling reports this often at least
 BEAT = 10.0  # s after which a stage reports again without a terminal
 TICK = 1.0  # s between looks at the clock
 LEAST_LEFT = 5.0  # s; less is not worth saying
-LOADING = os.path.join("llvmlite", "binding", "executionengine.py")
+LOADING = os.path.join("llvmlite", "binding", "executionengine.py")  # calls back from LLVM
 
 _pressed = threading.Event()  # Ctrl-C, in this command, and no interrupt has been seen since
 

@@ -21,8 +21,7 @@ NEAR = 0.05  # m: splats nearer than this are not drawn
 class DrawnCapture:
     """A capture in the colours of the present time, with what moves where it is now.
 
-    backdrop : Backdrop. Its scene is drawn, or `scene`.
-    scene : Scene. That of `backdrop`.
+    backdrop : Backdrop. Its scene is drawn.
     present : PresentSplats
     colors : tuple. State of `present` at the start.
     badly_placed : bool array (n,). Splats that mirrored pictures and the
@@ -45,10 +44,11 @@ class DrawnCapture:
     """
 
     def __init__(
-        self, backdrop, scene, present, colors, badly_placed, merge, terrain, paged, rasterizer_of,
+        self, backdrop, present, colors, badly_placed, merge, terrain, paged, rasterizer_of,
         normals=None,
     ):  # fmt: skip
-        self.frame, self._whole = scene.ground_frame, backdrop.whole
+        scene, self._whole = backdrop.scene, backdrop.whole
+        self.frame = scene.ground_frame
         self.near = NEAR / self.frame.meters_per_unit
         self._present, self._colors, self._terrain = present, colors, terrain
         self.badly_placed, self.paged, self._rasterizer_of = badly_placed, paged, rasterizer_of

@@ -107,7 +107,7 @@ class WetScene:
             normals = [a[backdrop.kept] for a in normals()]
         trim()  # what the light was found in
         self.capture = DrawnCapture(
-            backdrop, self.scene, present, present.state(config.at(0.0)), bad, config.render.merge,
+            backdrop, present, present.state(config.at(0.0)), bad, config.render.merge,
             terrain, paged, rasterizer_of, normals,
         )  # fmt: skip
         lines = None
