@@ -17,11 +17,8 @@ LOWEST = -0.01  # sine of the elevation from which on a pixel may show the sky
 DULL, BLUE = 0.6, 0.8  # blue over the largest channel: no sky, likely sky
 DARK = 0.1  # linear luminance below which nothing is the sky of a day
 EVEN = 0.15  # range of the logarithm of luminance about a pixel of the sky
-WALL = (
-    0.015,
-    0.06,
-)  # sines of the elevations, below and above the horizon, between which walls go on
 ABOUT = 5  # px, side of the square in which that is measured
+WALL = 0.015, 0.06  # sines of elevations, between which walls go on above and below the horizon
 BRIGHTER = 0.7  # quantile of the cameras: things before the sky are darker
 STEP = 0.25  # logarithm of a channel between texels of the sky, at most
 # Logarithm of a channel by which cameras differ from each other, from which on it is not the sky.
@@ -76,8 +73,9 @@ class SkyColors:
         """
 
         def counted(view, exposure):
-            direction, even = directions(view), _is_even(view)
-            more = self._more(view.light, direction, exposure)
+            direction, light = directions(view)[::2, ::2], view.light[::2, ::2]
+            even = _is_even(view.light @ LUMINANCE_WEIGHTS.astype(np.float32))[::2, ::2]
+            more = self._more(light, direction, exposure)
             near, high = np.abs(more).max(axis=-1) < SAME, direction[..., 2]
             land, above = high < 2 * LOWEST, high > -LOWEST
             wall = near & above & _goes_below(near & even, high)
@@ -192,14 +190,15 @@ def seen_sky(views, shown):
 
 def _likely(view, direction):
     """Return which pixels are even, bright and blue or grey, and above the horizon; not walls."""
+    light = view.light @ LUMINANCE_WEIGHTS.astype(np.float32)
     blue = view.light[..., 2] / np.maximum(view.light.max(axis=-1), 1e-3)
-    bright, high = view.light @ LUMINANCE_WEIGHTS.astype(np.float32) > DARK, direction[..., 2]
-    likely = _is_even(view) & bright & (blue > BLUE)
+    likely, high = _is_even(light) & (light > DARK) & (blue > BLUE), direction[..., 2]
     return likely & ~_goes_below(likely, high) & (high > 0)
 
 
-def _is_even(view):
-    log = np.log(np.maximum(view.light @ LUMINANCE_WEIGHTS.astype(np.float32), 0.01))
+def _is_even(light):
+    """Return around which pixels the luminance (height, width) hardly changes."""
+    log = np.log(np.maximum(light, 0.01))
     return ndimage.maximum_filter(log, ABOUT) - ndimage.minimum_filter(log, ABOUT) < EVEN
 
 

@@ -297,6 +297,7 @@ def _sky_splats(scene, views, colors, position, alone, middle, light, lit, veile
         found = (sky / seen > MOSTLY) & (bright | alike | wide)
         likely = (sky / (land + sky) > LIKELY) & (bright | alike)
     high = direction[:, 2]
+    # What more cameras see than have hidden is a thing, such as a pale roof.
     hidden = (before_sky > HIDDEN * (land + rim)) & (veiled >= lit)
     needle = (before_sky > 4 * SPECK) | ((veiled > 0) & (lit == 0))
     needle &= hidden & (sky < VEILED * before_sky)
