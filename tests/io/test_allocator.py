@@ -62,9 +62,10 @@ def work():
 kept = []
 threads = [threading.Thread(target=work) for _ in range(8)]
 [thread.start() for thread in threads], [thread.join() for thread in threads]
-with open("/proc/self/maps", encoding="ascii") as lines:  # a heap reserves 64 MB
-    ends = [[int(n, 16) for n in line.split()[0].split("-")] for line in lines]
-print(sum((end - begin) % 2**26 != 0 and end % 2**26 == 0 for begin, end in ends))
+with open("/proc/self/maps", encoding="ascii") as lines:  # a heap reserves 64 MB, in line
+    unused = [line.split()[0].split("-") for line in lines if " ---p " in line]
+ends = [[int(n, 16) for n in part] for part in unused]
+print(sum(end - begin > 2**20 and begin % 2**26 != 0 == end % 2**26 for begin, end in ends))
 """
 
 
