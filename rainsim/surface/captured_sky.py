@@ -11,6 +11,7 @@ from scipy.sparse import csgraph
 
 from rainsim.numerics.blocks import of_each
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
+from rainsim.surface.fuse import LEAST_VIEWS, MOST_THROUGH, counted
 
 ROWS, COLUMNS = 18, 72  # of the map: 5 degrees of elevation and of azimuth
 LOWEST = -0.01  # sine of the elevation from which on a pixel may show the sky
@@ -25,10 +26,12 @@ STEP = 0.25  # logarithm of a channel between texels of the sky, at most
 # Captures whose harmonics were cut off (.splat) have .12 where whole ones have .03.
 NEAR = 0.16
 SAME = 0.35  # logarithm of a channel by which a pixel differs from the map
-GREY = 0.8  # logarithm of blue over red, up to which a sky is covered with clouds
+GREY = 0.8  # logarithm of blue over red, up to which a sky is covered with clouds, over land's
 RIVAL = 0.1  # of the largest part of the map, from which on a brighter one is sky
 BRIGHT_LAND = 0.05  # of the pixels of a grey sky, that may be brighter
 LIKE_LAND = 0.5  # share of what lies below the horizon that may differ so little from the map
+AGREED = 0.6  # share of places in the sky, that cameras may agree on, if more so than on land
+PLACES = 300  # of either in a picture, on which that is measured
 SEEN = 45, 180  # rows and columns of the map of where the sky is seen
 LEAST_TEXELS = 6  # that show the sky
 LEAST_PIXELS = 30  # of a texel
@@ -52,15 +55,16 @@ class SkyColors:
 
     def __init__(self, views):
         camera, texel, seen = _seen(views)
+        self.blue_land = _blue_land(views)
         self.exposure = np.zeros(len(views))
         color, spread = _median_map(texel, seen)
-        known = _highest_part(color)
+        known = _highest_part(color, self.blue_land)
         if _median_of(spread, known) > EQUAL:
             for _ in range(ROUNDS):
                 several = known & np.isfinite(spread)
                 self.exposure = _exposures(len(views), camera, texel, seen, color, several)
                 color, spread = _median_map(texel, seen - self.exposure[camera, None])
-                known = _highest_part(color)
+                known = _highest_part(color, self.blue_land)
         self.color = _completed(color, spread, known)
         if self.color is not None and self._is_doubtful(views):
             self.color = None
@@ -69,10 +73,11 @@ class SkyColors:
         """Tell whether the map's colour is also that of land, so that it tells no sky.
 
         Fog, or a room of one grey, has it below the horizon, too, and walls go on there without an
-        edge. And under a grey sky nothing is brighter than the sky: else it is a pale wall.
+        edge. Cameras agree on where a wall stands, as on the ground. And under a grey sky nothing
+        is brighter than the sky: else it is a pale wall.
         """
 
-        def counted(view, exposure):
+        def parts(view, exposure):
             direction, light = directions(view)[::2, ::2], view.light[::2, ::2]
             even = _is_even(view.light @ LUMINANCE_WEIGHTS.astype(np.float32))[::2, ::2]
             more = self._more(light, direction, exposure)
@@ -80,13 +85,22 @@ class SkyColors:
             land, above = high < 2 * LOWEST, high > -LOWEST
             wall = near & above & _goes_below(near & even, high)
             parts = land, near & land, near & above, (more.min(axis=-1) > SAME) & above, wall
-            return [np.count_nonzero(part) for part in parts]
+            places = [_places(view, direction, part) for part in (land, near & above)]
+            return [np.count_nonzero(part) for part in parts], *places
 
-        counts = of_each(counted, views, self.exposure)
+        counts, *places = zip(*of_each(parts, views, self.exposure), strict=True)
         below, alike, sky, brighter, walls = np.sum(counts, axis=0)
         if alike > LIKE_LAND * max(below, 1) or walls > 0.5 * max(sky, 1):
             return True
-        return _is_grey(self.color.reshape(-1, 3)) and brighter > BRIGHT_LAND * max(sky, 1)
+        land, high = (_agreed(np.concatenate(some), views) for some in places)
+        if high > max(land, AGREED):
+            return True
+        return self.is_grey and brighter > BRIGHT_LAND * max(sky, 1)
+
+    @property
+    def is_grey(self):
+        """Whether the sky, which there is, is covered with clouds."""
+        return _is_grey(self.color.reshape(-1, 3), self.blue_land)
 
     def _more(self, light, direction, exposure):
         """Return the logarithm by which a view's light exceeds the sky, (..., 3)."""
@@ -106,8 +120,7 @@ class SkyColors:
             parts = [np.full(view.depth.shape, -1, np.int8) for view in views]
             return parts, [part > 0 for part in parts]
         parts, near = zip(*of_each(self._parts, views, self.exposure), strict=True)
-        grey = _is_grey(self.color.reshape(-1, 3))
-        return parts, [part > 0 for part in parts] if grey else near
+        return parts, [part > 0 for part in parts] if self.is_grey else near
 
     def _parts(self, view, exposure):
         """Return what the pixels of a view show, region by region, and which have the sky's colour.
@@ -155,6 +168,25 @@ def directions(view):
     ray[..., 0], ray[..., 1], ray[..., 2] = x, y[:, None], 1
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     return ray @ view.matrix[:, :3]
+
+
+def _places(view, direction, some):
+    """Return at most PLACES places [m], (n, 3), that a view shows in some pixels of every second.
+
+    Those with a surface, `direction` away.
+    """
+    depth = view.depth[::2, ::2]
+    which = np.flatnonzero(some & np.isfinite(depth))
+    which = which[:: max(1, -(-len(which) // PLACES))]
+    ray = direction.reshape(-1, 3)[which]
+    return view.eye + ray * (depth.ravel()[which] / (ray @ view.matrix[2, :3]))[:, None]
+
+
+def _agreed(places, views):
+    """Return the share of places (n, 3) that several views see and few look through."""
+    found = counted(np.ascontiguousarray(places, np.float32), np.zeros(len(places), "f4"), views)
+    solid = (found[:, 0] >= LEAST_VIEWS) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
+    return solid.mean() if len(places) else 0.0
 
 
 def place_on_map(direction, rows, columns):
@@ -294,12 +326,12 @@ def _clouds(cloud, sky, high):
     return good[label]
 
 
-def _highest_part(color):
+def _highest_part(color, blue_land):
     """Return which texels of a map are sky, bool (ROWS, COLUMNS).
 
     Of the parts of the map that are smooth in themselves the sky is the one that is highest and
     widest; a wall that hides it is another. Where it stands near, what is seen in one direction
-    differs from camera to camera.
+    differs from camera to camera. `blue_land`: see `_blue_land`.
     """
     high = (np.arange(ROWS) + 0.5)[:, None] / ROWS * np.pi / 2
     known = np.isfinite(color[..., 0])
@@ -311,15 +343,29 @@ def _highest_part(color):
     light = np.bincount(part[known], size[known] * color[known].mean(axis=-1))
     light /= np.maximum(weight, 1e-9)
     best = np.argmax(weight)
-    if _is_grey(color[known & (part == best)]):  # under a grey sky nothing is brighter
+    if _is_grey(color[known & (part == best)], blue_land):  # under a grey sky nothing is brighter
         rivals = (light > light[best] + SAME) & (weight > RIVAL * weight[best])
         best = np.argmax(weight * rivals) if rivals.any() else best
     return known & (part == best)
 
 
-def _is_grey(color):
+def _is_grey(color, blue_land):
     """Tell whether logarithms of colours (n, 3) are those of a grey sky."""
-    return np.median(color[:, 2] - color[:, 0]) < GREY
+    return np.median(color[:, 2] - color[:, 0]) < GREY + blue_land
+
+
+def _blue_land(views):
+    """Return the logarithm of blue over red of what lies below the horizon, 0 if that is not blue.
+
+    A camera that is balanced for lamps shows land blue, and the sky more so.
+    """
+
+    def blue(view):
+        some = view.light[::4, ::4][directions(view)[::4, ::4, 2] < 2 * LOWEST]
+        return np.diff(np.log(np.clip(some[:, ::2], 0.01, 1.0)), axis=1)[:, 0]
+
+    every = np.concatenate([*of_each(blue, views), np.zeros(1, np.float32)])
+    return max(float(np.median(every)), 0.0)
 
 
 def _completed(color, spread, known):
