@@ -53,8 +53,9 @@ def damp_off_ground(rain, point, height, body):
     nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
     level = smoothstep(LEANING, PITCHED, nz + min(slant, ZERO))
-    share = max(level, smoothstep(ZERO, FACING, slant + min(nz, ZERO)))
-    damp = share * _damp_of(rain.supply * max(nz + slant, ZERO))
+    upright = nz if nz > ZERO else min(nz + LEANING, ZERO)
+    share = max(level, smoothstep(ZERO, FACING, slant + min(upright, ZERO)))
+    damp = share * _damp_of(rain.supply * max(upright + slant, ZERO))
     if nz > UNDER_LOW:  # undersides get neither; normals of haze are noise, so the edge is soft
         splashed = FOOT_SHARE * exp_minus(max(height, ZERO) * FOOT_STEEP)
         foot, sides = _damp_of(rain.supply * splashed), body * _damp_of(rain.supply * RUN_OFF)

@@ -31,6 +31,7 @@ RIVAL = 0.1  # of the largest part of the map, from which on a brighter one is s
 BRIGHT_LAND = 0.05  # of the pixels of a grey sky, that may be brighter
 LIKE_LAND = 0.5  # share of what lies below the horizon that may differ so little from the map
 AGREED = 0.6  # share of places in the sky, that cameras may agree on, if more so than on land
+FARTHEST = 5.0  # times how far cameras stand from their middle, up to which they tell a depth
 PLACES = 300  # of either in a picture, on which that is measured
 SEEN = 45, 180  # rows and columns of the map of where the sky is seen
 LEAST_TEXELS = 6  # that show the sky
@@ -183,9 +184,16 @@ def _places(view, direction, some):
 
 
 def _agreed(places, views):
-    """Return the share of places (n, 3) that several views see and few look through."""
+    """Return the share of places (n, 3) that several views see and few look through.
+
+    Cameras side by side tell nothing of what is far.
+    """
+    eyes = np.array([view.eye for view in views])
+    middle = np.median(eyes, axis=0)
+    apart = np.median(np.linalg.norm(eyes - middle, axis=1))
     found = counted(np.ascontiguousarray(places, np.float32), np.zeros(len(places), "f4"), views)
     solid = (found[:, 0] >= LEAST_VIEWS) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
+    solid &= np.linalg.norm(places - middle, axis=1) < FARTHEST * apart
     return solid.mean() if len(places) else 0.0
 
 

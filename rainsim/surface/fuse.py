@@ -111,19 +111,22 @@ def evened(position, plain, towards, size, weight, views):
     for cell, wide in SCALES:
         if len(which) < 4 * NODES:
             break
-        moved, even = _to_planes(position[which], weight[which].astype(np.float64), cell, wide)
+        moved, even, _ = to_planes(position[which], weight[which].astype(np.float64), cell, wide)
         result[which[even]] = moved[even]
         which = which[~even]
     return result, upright
 
 
-def _to_planes(position, weight, cell, wide):
-    """Return places moved to planes of the splats `wide` [m] around, and where they are layers."""
+def to_planes(position, weight, cell, wide):
+    """Return places moved to planes of those `wide` [m] around, where they are layers, and normals.
+
+    weight : array (n,). Of each place. Normals (n, 3) are unit, of either sign.
+    """
     place = np.floor(position / cell).astype(np.int64)
     group = groups_of(place, 0)
     total, node = np.bincount(group, weight), group_means(group, position, weight)
     tree, k = cKDTree(node), min(NODES, len(node))
-    result, even = position.copy(), np.zeros(len(position), bool)
+    result, normal, even = position.copy(), position.copy(), np.zeros(len(position), bool)
 
     def work(part):
         at = position[part].astype(np.float64)
@@ -141,9 +144,10 @@ def _to_planes(position, weight, cell, wide):
         lift = np.einsum("ij,ij->i", middle - at, up)
         even[part] = (value[:, 0] < EVEN * value[:, 1]) & (np.abs(lift) < FARTHEST * wide)
         result[part] += (lift[:, None] * up).astype(np.float32)
+        normal[part] = up
 
     in_blocks(work, len(position), 1 << 13)
-    return result, even
+    return result, even, normal
 
 
 def thinned(surface):

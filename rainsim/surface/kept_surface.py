@@ -10,16 +10,25 @@ from rainsim.constants import SH_0
 from rainsim.io import cache
 from rainsim.jit import get_num_threads
 from rainsim.numerics.blocks import beside, in_blocks
+from rainsim.numerics.places import group_means, groups_of
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS, linear
 from rainsim.raster import Rasterizer, prepare
 from rainsim.splatting.prepared import morton_order
 from rainsim.surface.captured_sky import SAME, SkyColors, seen_sky
-from rainsim.surface.fuse import LEAST_VIEWS, MANY, MOST_THROUGH, CaptureSurface, counted, fused
+from rainsim.surface.fuse import (
+    LEAST_VIEWS,
+    MANY,
+    MOST_THROUGH,
+    CaptureSurface,
+    counted,
+    fused,
+    to_planes,
+)
 from rainsim.surface.ground_picture import ground_picture
 from rainsim.surface.ground_shade import GroundShade, ground_shade
 from rainsim.surface.unveiled import EVERY, MOST_PICTURES, Unveiled, unveiled
 from rainsim.surface.views import NEAR, cameras_of, depth_views, leave_out_sky, window_of
-from rainsim.surface.wall_parts import laid_on_walls
+from rainsim.surface.wall_parts import is_leaf, laid_on_walls
 
 KIND = "surface"
 FEWEST = 100  # splats
@@ -38,6 +47,9 @@ ALONE = 4.0  # voxels from any surface, beyond which a splat belongs to none
 STOPS, LARGEST = 0.3, 0.3  # share of light that a solid splat stops; its deviation [m], at most
 FACING, REACH = 6, 0.25  # places that a splat's normal is taken of; m away, from which it is less
 AHEAD = 0.9  # cosine to a plane's normal from which on what is off it is before it
+CELL, WIDE = 0.4, 1.0  # m, of places that are taken together, and about that make a layer
+BESIDE = 4  # layers that a splat's normal is taken of
+LEANING, PITCHED = 0.2, 0.5  # parts of normals upwards, between which walls become roofs
 LOST = 0.5  # m from every place, beyond which a splat shows no surface
 
 
@@ -223,6 +235,8 @@ def splat_normals(scene, found, sky):
     good = np.flatnonzero(np.isfinite(position).all(axis=1))
     good = good[morton_order(position[good])]  # neighbours read the same part of the tree
     tree = cKDTree(surface.position, compact_nodes=False, balanced_tree=False)
+    nodes, layer = _layers(surface)
+    nodes = cKDTree(nodes)
 
     def work(part):
         which = good[part]
@@ -237,12 +251,34 @@ def splat_normals(scene, found, sky):
         lost = np.clip(away[:, :1] / REACH - 1, 0, 1)
         near = np.clip(2 * sure[:, None], 0, 1) * (1 - lost)
         inwards = (found.middle - position[which]) * np.float32([1, 1, 0])
-        mean = near * _unit(total) + lost * _unit(inwards)
-        normal[which], share[which] = _unit(mean), (near + lost)[:, 0]
+        mean, known = near * _unit(total) + lost * _unit(inwards), (near + lost)[:, 0]
+        least = np.flatnonzero(known < 1)
+        away, at = nodes.query(position[which[least]], k=range(1, 1 + min(BESIDE, len(layer))))
+        weight = np.exp(-2 * (away / CELL) ** 2) + 1e-6
+        weight /= weight.sum(axis=1, keepdims=True)
+        wall = np.einsum("ij,ijk->ik", weight, layer[at])
+        mean[least] += (1 - known[least, None]) * wall
+        known[least] += (1 - known[least]) * np.linalg.norm(wall, axis=1)
+        normal[which], share[which] = _unit(mean), known
 
     in_blocks(work, len(good), 1 << 14)
     normal[sky], share[sky] = (0, 0, -1), 1
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
+
+
+def _layers(surface):
+    """Return cells of a surface, (m, 3) [m], and the normals of the layers there, 0 without one.
+
+    Where few pictures show a wall its places scatter, so that those about a splat lie in no plane.
+    Those of a wider neighbourhood do. Leaves face as they happen to; what hardly leans is upright.
+    """
+    cell = groups_of(np.floor(surface.position / CELL).astype(np.int64), 0)
+    values = np.column_stack([surface.position, surface.normal, surface.light])
+    node, towards, light = np.split(group_means(cell, values), 3, axis=1)
+    _, layer, normal = to_planes(node, np.bincount(cell).astype(float), CELL, WIDE)
+    normal *= np.where(np.einsum("ij,ij->i", normal, towards) < 0, -1, 1)[:, None]
+    normal[:, 2] *= np.clip((np.abs(normal[:, 2]) - LEANING) / (PITCHED - LEANING), 0, 1)
+    return node, _unit(normal) * (layer & ~is_leaf(light))[:, None]
 
 
 def _weighed(scene, rasterizer, pictures, every):

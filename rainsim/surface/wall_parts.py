@@ -35,14 +35,12 @@ def laid_on_walls(surface):
     if not shown.any():
         return surface
     position, normal, flat = (values.copy() for values in surface[:3])
-    red, green, blue = surface.light.T
-    leaf = 2 * green - red - blue > GREEN * 2 * surface.light.max(axis=1, initial=0)
     bright = surface.light @ LUMINANCE_WEIGHTS.astype(np.float32)
     offset = np.einsum("ij,ij->i", surface.position[shown], normal[shown])
     planes = np.column_stack([normal[shown], offset.round(2)])
     planes, wall = np.unique(planes, axis=0, return_inverse=True)
     wall = wall.ravel()
-    rest = np.flatnonzero((flat <= LOOSE) & ~leaf)
+    rest = np.flatnonzero((flat <= LOOSE) & ~is_leaf(surface.light))
     for k, outwards in enumerate(planes[:, :3]):
         mine = wall == k
         places = surface.position[shown][mine]
@@ -56,6 +54,12 @@ def laid_on_walls(surface):
         normal[which], flat[which] = outwards, np.where(dark, 0.5, 1)
         rest = rest[~near]
     return surface._replace(position=position, normal=normal, flat=flat)
+
+
+def is_leaf(light):
+    """Return which colours (n, 3), linear, are those of leaves."""
+    red, green, blue = light.T
+    return 2 * green - red - blue > GREEN * 2 * light.max(axis=1, initial=0)
 
 
 def _on_wall(position, outwards):
