@@ -155,6 +155,8 @@ def test_walls_catch_what_slants_towards_them():
     assert damp(0.0, 1.0, 0.0, 80.0, 0.1) > 0.5
     assert damp(-1.0, 0.0, 0.0, 30.0) == 1.0 and damp(0.0, 0.0, -1.0) < 0.03  # soffits stay dry
     assert damp(-1.0, 0.0, 0.0, 0.0) == 0.0
+    # Normals of a captured wall are noise: it is wet where it seems to lean over a little.
+    assert damp(-0.98, 0.0, -0.19, 30.0) == 1.0 > 0.5 > damp(-0.77, 0.0, -0.64, 30.0)
     # What splashes back from the ground wets the foot of a wall, and nothing below a table.
     foot = damp(1.0, 0.0, 0.0, 30.0, 0.02)
     assert foot > 0.5 > 2 * damp(1.0, 0.0, 0.0, 30.0) and damp(1.0, 0.0, 0.0, 0.0, 0.02) == 0.0

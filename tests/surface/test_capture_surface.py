@@ -196,6 +196,35 @@ def test_a_grey_front_below_a_brighter_sky_is_no_sky():
     assert (parts[0][12:] < 1).all()
 
 
+def test_a_front_that_a_camera_shows_bluer_than_its_sky_is_no_sky():
+    for land in ((0.1, 0.12, 0.19), (0.1, 0.09, 0.05)):  # balanced for lamps, and for daylight
+        front = np.full((60, 80, 3), (0.17, 0.22, 0.41), np.float32)
+        front[45:] = land
+        front[:16, :50] = (0.87, 0.89, 0.99)
+        pictures = [view_of(front, 0.2)] * 4
+        shown = captured_sky.SkyColors(pictures).parts(pictures)[0][0]
+        if land[2] > land[0]:
+            assert (shown[20:44, 5:75] < 1).all() and (shown[2:13, 5:45] == 1).all()
+        else:  # a blue sky with a cloud
+            assert (shown[20:40, 5:75] == 1).all()
+
+
+def test_what_cameras_apart_see_at_one_place_is_no_sky():
+    light = np.full((60, 80, 3), (0.3, 0.32, 0.36), np.float32)
+    light[50:] = (0.1, 0.09, 0.05)
+    rng = np.random.default_rng(0)
+    for away in (4.0, 50.0):  # of a front that is ahead, whatever the camera's place
+        pictures = []
+        for y in (-1.5, -0.5, 0.5, 1.5):
+            view = view_of(light, 0.3)
+            eye = np.float32([0, y, 0])
+            depth = np.full((60, 80), away, np.float32)
+            depth[50:] = rng.uniform(1, 4)  # the ground is hardly known
+            matrix = np.column_stack([view.matrix[:, :3], -view.matrix[:, :3] @ eye])
+            pictures.append(view._replace(matrix=matrix, eye=eye, depth=depth, least=depth))
+        assert (captured_sky.SkyColors(pictures).color is None) == (away == 4.0)
+
+
 def test_a_white_wall_that_goes_on_below_the_horizon_is_no_sky():
     light = np.full((60, 80, 3), 0.3, np.float32)  # a grey sky
     light[30:] = 0.05
@@ -206,6 +235,35 @@ def test_a_white_wall_that_goes_on_below_the_horizon_is_no_sky():
     wall = [view_of(light, 0.1)] * 4
     part = captured_sky.SkyColors(wall).parts(wall)[0][0]
     assert (part[5:50, 25:55] < 1).all()
+
+
+def test_splats_of_a_wall_whose_places_scatter_face_as_the_wall_does():
+    rng = np.random.default_rng(0)
+    count = 6000
+    place = np.column_stack([
+        2 + 0.1 * rng.standard_normal(count), rng.uniform(-2, 2, count), rng.uniform(0, 4, count)
+    ]).astype(np.float32)  # fmt: skip
+    loose = rng.standard_normal((count, 3)).astype(np.float32)  # as the few splats about one lie
+    loose[:, 0] = -np.abs(loose[:, 0])
+    loose /= np.linalg.norm(loose, axis=1, keepdims=True)
+    scene = sunny_yard.yard(step=0.4)[0]
+    splats = scene.splats.take(np.zeros(count, int))
+    splats = replace(splats, position=scene.ground_frame.to_capture(place).astype(np.float32))
+    scene = replace(scene, splats=splats)
+    for light, leaf in (((0.3, 0.3, 0.3), False), ((0.05, 0.2, 0.03), True)):
+        surface = fuse.CaptureSurface(
+            place, loose, np.zeros(count, "f4"), np.tile(np.float32(light), (count, 1)),
+            np.full(count, 0.04, np.float32), np.full(count, 4, np.uint8),
+        )  # fmt: skip
+        seen = SimpleNamespace(surface=surface, middle=np.zeros(3, np.float32))
+        normal, share = kept_surface.splat_normals(scene, seen, np.zeros(count, bool))
+        normal = normal @ scene.ground_frame.rotation.T
+        inner = (np.abs(place[:, 1]) < 1.5) & (np.abs(place[:, 2] - 2) < 1.5)
+        if leaf:
+            assert share.max() == 0  # each keeps its own
+        else:
+            assert share[inner].min() > 0.95 and normal[inner, 0].max() < -0.95
+            assert np.abs(normal[inner, 2]).max() < 0.05
 
 
 def test_haze_before_a_wall_is_moved_to_the_wall():
