@@ -119,7 +119,10 @@ class WetScene:
         self.capture.forget_whole()
         self.ground.stand(self.capture.actors)
         self.notes.append(about_albedo)
-        self.sky = SceneSky(backdrop, lines, config.render.sky in sky.PLAIN, day())
+        day = day()
+        if found is not None:
+            day *= found.balance
+        self.sky = SceneSky(backdrop, lines, config.render.sky in sky.PLAIN, day)
         self.shading, self._shades, self._now = None, 0, None
         self.set_time(config.at(0.0))
         place = config.render.surroundings

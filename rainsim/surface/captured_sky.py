@@ -56,16 +56,16 @@ class SkyColors:
 
     def __init__(self, views):
         camera, texel, seen = _seen(views)
-        self.blue_land = _blue_land(views)
+        self._land = _land_tint(views)
         self.exposure = np.zeros(len(views))
         color, spread = _median_map(texel, seen)
-        known = _highest_part(color, self.blue_land)
+        known = _highest_part(color, self._land)
         if _median_of(spread, known) > EQUAL:
             for _ in range(ROUNDS):
                 several = known & np.isfinite(spread)
                 self.exposure = _exposures(len(views), camera, texel, seen, color, several)
                 color, spread = _median_map(texel, seen - self.exposure[camera, None])
-                known = _highest_part(color, self.blue_land)
+                known = _highest_part(color, self._land)
         self.color = _completed(color, spread, known)
         if self.color is not None and self._is_doubtful(views):
             self.color = None
@@ -101,7 +101,13 @@ class SkyColors:
     @property
     def is_grey(self):
         """Whether the sky, which there is, is covered with clouds."""
-        return _is_grey(self.color.reshape(-1, 3), self.blue_land)
+        return _is_grey(self.color.reshape(-1, 3), self._land)
+
+    @property
+    def balance(self):
+        """The colour (3,), float32 of luminance 1, that the pictures show grey things in."""
+        tint = np.exp(self._land * (self.color is None or self.is_grey))
+        return (tint / (tint @ LUMINANCE_WEIGHTS)).astype(np.float32)
 
     def _more(self, light, direction, exposure):
         """Return the logarithm by which a view's light exceeds the sky, (..., 3)."""
@@ -334,12 +340,12 @@ def _clouds(cloud, sky, high):
     return good[label]
 
 
-def _highest_part(color, blue_land):
+def _highest_part(color, land):
     """Return which texels of a map are sky, bool (ROWS, COLUMNS).
 
     Of the parts of the map that are smooth in themselves the sky is the one that is highest and
     widest; a wall that hides it is another. Where it stands near, what is seen in one direction
-    differs from camera to camera. `blue_land`: see `_blue_land`.
+    differs from camera to camera. `land`: see `_land_tint`.
     """
     high = (np.arange(ROWS) + 0.5)[:, None] / ROWS * np.pi / 2
     known = np.isfinite(color[..., 0])
@@ -351,29 +357,30 @@ def _highest_part(color, blue_land):
     light = np.bincount(part[known], size[known] * color[known].mean(axis=-1))
     light /= np.maximum(weight, 1e-9)
     best = np.argmax(weight)
-    if _is_grey(color[known & (part == best)], blue_land):  # under a grey sky nothing is brighter
+    if _is_grey(color[known & (part == best)], land):  # under a grey sky nothing is brighter
         rivals = (light > light[best] + SAME) & (weight > RIVAL * weight[best])
         best = np.argmax(weight * rivals) if rivals.any() else best
     return known & (part == best)
 
 
-def _is_grey(color, blue_land):
+def _is_grey(color, land):
     """Tell whether logarithms of colours (n, 3) are those of a grey sky."""
-    return np.median(color[:, 2] - color[:, 0]) < GREY + blue_land
+    return np.median(color[:, 2] - color[:, 0]) < GREY + land[2] - land[0]
 
 
-def _blue_land(views):
-    """Return the logarithm of blue over red of what lies below the horizon, 0 if that is not blue.
+def _land_tint(views):
+    """Return the logarithm of the colour (3,) of what lies below the horizon, 0 if not blue.
 
     A camera that is balanced for lamps shows land blue, and the sky more so.
     """
 
-    def blue(view):
-        some = view.light[::4, ::4][directions(view)[::4, ::4, 2] < 2 * LOWEST]
-        return np.diff(np.log(np.clip(some[:, ::2], 0.01, 1.0)), axis=1)[:, 0]
+    def colors(view):
+        return view.light[::4, ::4][directions(view)[::4, ::4, 2] < 2 * LOWEST]
 
-    every = np.concatenate([*of_each(blue, views), np.zeros(1, np.float32)])
-    return max(float(np.median(every)), 0.0)
+    every = np.concatenate([*of_each(colors, views), np.ones((1, 3), np.float32)])
+    log = np.log(np.clip(every, 0.01, 1.0))
+    tint = np.median(log - log.mean(axis=1, keepdims=True), axis=0)
+    return tint if tint[2] > tint[0] else np.zeros(3)
 
 
 def _completed(color, spread, known):

@@ -66,6 +66,7 @@ class Found(NamedTuple):
     middle: np.ndarray  # (3,), float32, m, of what the cameras look at, in the ground frame
     solid: np.ndarray  # (m, 10), float32
     open: np.ndarray  # (rows, columns), float32, see `captured_sky.seen_sky`
+    balance: np.ndarray  # (3,), float32, see `captured_sky.SkyColors`
     half: float  # m, from the middle, how far they look
     shade: GroundShade | None = None  # on the ground; None: none is sure
     unveiled: Unveiled | None = None  # by leaving out the sky
@@ -155,7 +156,9 @@ def find_surface(scene, step=lambda: None):
     picture = ground_picture(views)
     shade = None if picture is None else ground_shade(picture)
     seen = seen_sky(views, [part > 0 for part in parts])
-    return Found(surface, sky, aloft, middle, solid, seen, half, shade, bared)
+    return Found(
+        surface, sky, aloft, middle, solid, seen, colors.balance, half, shade, bared
+    )  # fmt: skip
 
 
 def _solid(position, near, splats, good, views, frame, surface):

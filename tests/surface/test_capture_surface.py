@@ -9,6 +9,7 @@ import pytest
 import factories
 import sunny_yard
 from rainsim.daylight.lit_surface import Surface, carried
+from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.scene.splat_sets import joined
 from rainsim.shading import backdrop
 from rainsim.splatting.prepared import GEOMETRY, LANES, prepare, turn
@@ -202,10 +203,14 @@ def test_a_front_that_a_camera_shows_bluer_than_its_sky_is_no_sky():
         front[45:] = land
         front[:16, :50] = (0.87, 0.89, 0.99)
         pictures = [view_of(front, 0.2)] * 4
-        shown = captured_sky.SkyColors(pictures).parts(pictures)[0][0]
+        colors = captured_sky.SkyColors(pictures)
+        shown, balance = colors.parts(pictures)[0][0], colors.balance
+        assert balance @ LUMINANCE_WEIGHTS == pytest.approx(1)
         if land[2] > land[0]:
+            np.testing.assert_allclose(balance / balance[0], np.array(land) / land[0], rtol=1e-5)
             assert (shown[20:44, 5:75] < 1).all() and (shown[2:13, 5:45] == 1).all()
         else:  # a blue sky with a cloud
+            assert np.ptp(balance) == 0
             assert (shown[20:40, 5:75] == 1).all()
 
 

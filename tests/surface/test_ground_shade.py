@@ -134,7 +134,9 @@ def test_it_is_kept_for_the_next_run(shadow, tmp_path, monkeypatch):
     monkeypatch.setenv("RAINSIM_CACHE", str(tmp_path))
     surface = CaptureSurface(*np.zeros((6, 2, 3), np.float32))
     sky, maps = np.zeros(100, bool), np.zeros((2, 10), np.float32)
-    found = kept_surface.Found(surface, sky, sky, maps[0, :3], maps, maps > 0, 3.0, shadow[1])
+    found = kept_surface.Found(
+        surface, sky, sky, maps[0, :3], maps, maps > 0, maps[0, :3], 3.0, shadow[1]
+    )  # fmt: skip
     splats = factories.splats(np.zeros((100, 3)))
     scene = Scene("made", splats, (), GroundFrame(np.eye(3), 1.0, np.zeros(3)), None, "0" * 64, ())
     for find in (lambda *_: found, None):  # to call it again would be an error
