@@ -15,7 +15,7 @@ from rainsim.surface.fuse import LEAST_VIEWS, MOST_THROUGH, counted
 
 ROWS, COLUMNS = 18, 72  # of the map: 5 degrees of elevation and of azimuth
 LOWEST = -0.01  # sine of the elevation from which on a pixel may show the sky
-DULL, BLUE = 0.6, 0.8  # blue over the largest channel: no sky, likely sky
+BLUE = 0.8  # blue over the largest channel: likely sky
 DARK = 0.1  # linear luminance below which nothing is the sky of a day
 EVEN = 0.15  # range of the logarithm of luminance about a pixel of the sky
 ABOUT = 5  # px, side of the square in which that is measured
