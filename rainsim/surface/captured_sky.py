@@ -30,7 +30,7 @@ GREY = 0.8  # logarithm of blue over red, up to which a sky is covered with clou
 RIVAL = 0.1  # of the largest part of the map, from which on a brighter one is sky
 BRIGHT_LAND = 0.05  # of the pixels of a grey sky, that may be brighter
 LIKE_LAND = 0.5  # share of what lies below the horizon that may differ so little from the map
-AGREED = 0.6  # share of places in the sky, that cameras may agree on, if more so than on land
+AGREED = 0.55  # share of places in the sky, that cameras may agree on, if more so than on land
 FARTHEST = 5.0  # times how far cameras stand from their middle, up to which they tell a depth
 PLACES = 300  # of either in a picture, on which that is measured
 SEEN = 45, 180  # rows and columns of the map of where the sky is seen
@@ -38,6 +38,7 @@ LEAST_TEXELS = 6  # that show the sky
 LEAST_PIXELS = 30  # of a texel
 EQUAL = 0.08  # the same, up to which all pictures have one exposure
 ROUNDS, MOST_EXPOSURE = 3, 0.7  # of finding exposures; logarithm of one, at most
+TRIES = 3  # parts of the map that are tried
 SAME_EXPOSURE = 0.2  # share of the texels that a camera sees, that one exposure must explain
 # A region that ends below the edge of the picture is sky if it is a gap between leaves, of so many
 # pixels at most, of which one at least is clear sky; panes mirror a part of the sky's light.
@@ -51,31 +52,41 @@ class SkyColors:
 
     `color`, (ROWS, COLUMNS, 3), is the logarithm of linear light, row 0 at the horizon; None: no
     camera sees the sky. `exposure`, (views,), is the logarithm by which each view is brighter than
-    that: a camera that exposes each picture by itself shows one sky in many shades.
+    that: a camera that exposes each picture by itself shows one sky in many shades. The first
+    `captured` views are of a capture's own cameras, 0: all are alike.
     """
 
-    def __init__(self, views):
-        camera, texel, seen = _seen(views)
-        self._land = _land_tint(views)
-        self.exposure = np.zeros(len(views))
+    def __init__(self, views, captured=0):
+        self._land, found = _land_tint(views), _seen(views)
+        for _ in range(TRIES):
+            known = self._find(len(views), *found)
+            doubt = "" if self.color is None else self._doubt(views, captured)
+            if doubt != "stands":
+                break
+            found = [values[~known.ravel()[found[1]]] for values in found]
+        if doubt:
+            self.color = None
+
+    def _find(self, count, camera, texel, seen):
+        """Find colour and exposures from what `_seen` returns; return which texels are sky."""
+        self.exposure = np.zeros(count)
         color, spread = _median_map(texel, seen)
         known = _highest_part(color, self._land)
         if _median_of(spread, known) > EQUAL:
             for _ in range(ROUNDS):
                 several = known & np.isfinite(spread)
-                self.exposure = _exposures(len(views), camera, texel, seen, color, several)
+                self.exposure = _exposures(count, camera, texel, seen, color, several)
                 color, spread = _median_map(texel, seen - self.exposure[camera, None])
                 known = _highest_part(color, self._land)
         self.color = _completed(color, spread, known)
-        if self.color is not None and self._is_doubtful(views):
-            self.color = None
+        return known
 
-    def _is_doubtful(self, views):
-        """Tell whether the map's colour is also that of land, so that it tells no sky.
+    def _doubt(self, views, captured):
+        """Return why the map tells no sky, "" if it does.
 
-        Fog, or a room of one grey, has it below the horizon, too, and walls go on there without an
-        edge. Cameras agree on where a wall stands, as on the ground. And under a grey sky nothing
-        is brighter than the sky: else it is a pale wall.
+        Fog, or a room of one grey, has its colour below the horizon, too, and walls go on there
+        without an edge. And under a grey sky nothing is brighter than the sky: else it is a pale
+        wall. "stands": cameras agree on where that is, surer than on the ground.
         """
 
         def parts(view, exposure):
@@ -92,11 +103,12 @@ class SkyColors:
         counts, *places = zip(*of_each(parts, views, self.exposure), strict=True)
         below, alike, sky, brighter, walls = np.sum(counts, axis=0)
         if alike > LIKE_LAND * max(below, 1) or walls > 0.5 * max(sky, 1):
-            return True
-        land, high = (_agreed(np.concatenate(some), views) for some in places)
+            return "land"
+        own = slice(captured or None)
+        land, high = (_agreed(np.concatenate(some[own]), views[own]) for some in places)
         if high > max(land, AGREED):
-            return True
-        return self.is_grey and brighter > BRIGHT_LAND * max(sky, 1)
+            return "stands"
+        return "brighter" if self.is_grey and brighter > BRIGHT_LAND * max(sky, 1) else ""
 
     @property
     def is_grey(self):

@@ -127,7 +127,7 @@ def find_surface(scene, step=lambda: None):
     rasterizer = Rasterizer(prepare(splats))
     views = depth_views(scene, cameras, rasterizer)
     step()
-    colors = SkyColors(views)
+    colors = SkyColors(views, len(scene.cameras))
     parts, no_surface = colors.parts(views)
     leave_out_sky(views, no_surface)
     step()

@@ -99,12 +99,13 @@ def depth_views(scene, cameras, rasterizer):
         with np.errstate(invalid="ignore"):  # infinite where nothing is
             depth = layers.depth + share * (layers.plane_depth - layers.depth)
         depth = np.where(layers.alpha > OPAQUE, depth * unit, np.float32(np.inf))
+        depth = depth.astype(np.float32)
         placed = frame.camera_in_ground(camera)
         return DepthView(
             np.ascontiguousarray(placed.camera_from_world[:3], np.float32),
             placed.position.astype(np.float32),
             lens_array(camera),
-            depth.astype(np.float32), np.empty(depth.shape, np.float32),
+            depth, ndimage.minimum_filter(depth, 3),
             light.astype(np.float32), plain,
         )  # fmt: skip
 

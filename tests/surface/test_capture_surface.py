@@ -214,20 +214,33 @@ def test_a_front_that_a_camera_shows_bluer_than_its_sky_is_no_sky():
             assert (shown[20:40, 5:75] == 1).all()
 
 
-def test_what_cameras_apart_see_at_one_place_is_no_sky():
+@pytest.mark.parametrize("sky", [False, True])
+def test_what_cameras_apart_see_at_one_place_is_no_sky(sky, monkeypatch):
+    monkeypatch.setattr(captured_sky, "RIVAL", 1)  # that a sky is brighter does not count here
     light = np.full((60, 80, 3), (0.3, 0.32, 0.36), np.float32)
     light[50:] = (0.1, 0.09, 0.05)
+    light[: 16 * sky] = 0.9
     rng = np.random.default_rng(0)
-    for away in (4.0, 50.0):  # of a front that is ahead, whatever the camera's place
+    for away in (50.0, 4.0):  # of a front that is ahead, whatever the camera's place
         pictures = []
         for y in (-1.5, -0.5, 0.5, 1.5):
             view = view_of(light, 0.3)
             eye = np.float32([0, y, 0])
             depth = np.full((60, 80), away, np.float32)
-            depth[50:] = rng.uniform(1, 4)  # the ground is hardly known
+            depth[50:] = rng.uniform(1, 4)  # the ground is hardly known, and the sky is not
+            depth[: 16 * sky] = rng.uniform(10, 60)
             matrix = np.column_stack([view.matrix[:, :3], -view.matrix[:, :3] @ eye])
             pictures.append(view._replace(matrix=matrix, eye=eye, depth=depth, least=depth))
-        assert (captured_sky.SkyColors(pictures).color is None) == (away == 4.0)
+        colors = captured_sky.SkyColors(pictures)
+        if not sky:
+            assert (colors.color is None) == (away == 4.0)
+    if sky:  # of the other parts of the map the next is tried
+        shown = colors.parts(pictures)[0][0]
+        assert (shown[2:13, 5:75] == 1).all() and (shown[20:] < 1).all()
+    else:  # views that are not of the capture's cameras do not count
+        rings = [view_of(light, 0.3)] * 40
+        colors = [captured_sky.SkyColors(pictures + rings, own).color for own in (4, 0)]
+        assert colors[0] is None and colors[1] is not None
 
 
 def test_a_white_wall_that_goes_on_below_the_horizon_is_no_sky():
