@@ -14,6 +14,9 @@ from rainsim.scene import ground, ground_search
 from rainsim.scene.types import GroundFrame
 
 USUAL_UPS = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)  # COLMAP's, maps', glTF's
+# How far a capture may lean from its usual up; weights of scores about these, and elsewhere, where
+# what is not so wide is mostly the front of a house. By ten captures from photographs.
+LEANS, WEIGHTS, ELSEWHERE, WIDE = math.radians(35), (1.0, 0.75, 0.75), 0.33, 0.5
 WIDTH = 8.0  # m across what lies on the ground: a yard
 SURE, LEAST_SURE = 0.5, 0.2  # scores of a surface: no other is looked for; it counts at all
 LEAST_WIDTH = 1e-6  # of the greatest coordinate: less is one point, in float32
@@ -96,8 +99,8 @@ def _surface(splats, points, hint):
     """Return the Plane that counts as level and the middle of the splats on it; None without one.
 
     Nothing tells a lawn from a lawn upside down, nor a wall from ground: a surface counts by how
-    sure it is and by how much more of the capture is above it than below. Where that decides
-    nothing it is one that is level if the usual up is right.
+    sure it is, by how usual its up is and by how much more of the capture is above it than below.
+    Where that decides nothing it is one that is level if the usual up is right.
     """
 
     def search(up, angle):
@@ -112,7 +115,11 @@ def _surface(splats, points, hint):
         plane = found[0]
         height = plane.height(points)
         above, below = np.mean(height > plane.threshold), np.mean(height < -plane.threshold)
-        return plane.confidence * (above - below) / max(above + below, 1e-9)
+        usual = [w for up, w in zip(USUAL_UPS, WEIGHTS, strict=True)
+                 if ground_search.angle_between(plane.normal, np.array(up)) < LEANS]  # fmt: skip
+        usual = usual or [1.0 if plane.spread > WIDE else ELSEWHERE]
+        sure = plane.confidence * usual[0]
+        return sure * (above - below) / max(above + below, 1e-9)
 
     if hint is not None:
         return search(hint, ground_search.UP_HINT_ANGLE)

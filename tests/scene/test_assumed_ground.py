@@ -78,6 +78,17 @@ def test_a_wall_is_no_ground_and_a_lawn_alone_is_level_by_the_usual_up():
     assert degrees(frame.up, np.array([0, -1, 0])) < 2 and frame.confidence > 0
 
 
+def test_a_front_is_no_ground_where_that_is_hardly_captured():
+    rng = np.random.default_rng(4)
+    for wide, level in ((3, False), (12, True)):
+        front = rng.uniform(-1, 1, (5000, 3)) * (wide, wide, 0)
+        front += rng.normal(size=(5000, 3)) * 0.005
+        before = rng.uniform(-1, 1, (5000, 3)) * (12, 12, 6) + (0, 0, 6)  # haze and things
+        frame = assumed_ground_frame(splats_at(np.concatenate([front, before]) @ TURN))
+        assert (degrees(frame.up, TURN[2]) < 1) == level
+        assert ("no flat surface" in frame.notes[0]) == (not level)
+
+
 def test_views_with_something_before_them_or_of_blurred_splats_are_not_offered():
     splats = capture(patio())
     frame = assumed_ground_frame(splats)
