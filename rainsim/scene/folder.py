@@ -97,7 +97,7 @@ def import_scene(
         given = cameras, up, meters_per_unit, camera_height, ground_frame
         return _import_with_actors(path, actors_file(path), *given)
     camera_file = None
-    if _is_path(cameras):
+    if isinstance(cameras, str | os.PathLike):
         camera_file = Path(cameras)
         cameras, camera_notes = load_cameras(cameras)
     folder = path.parent if path.name == SCENE_FILE else path
@@ -243,10 +243,6 @@ def newest_splat_file(folder):
 
 
 # --- capture --------------------------------------------------------------------------------------
-
-
-def _is_path(value):
-    return isinstance(value, str | os.PathLike)
 
 
 def _as_frame(value, source_hash):
