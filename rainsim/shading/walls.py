@@ -53,7 +53,7 @@ def damp_off_ground(rain, point, height, body):
     nx, ny, nz, far = point.nx, point.ny, point.nz, point.distance
     slant = -(nx * rain.slant_x + ny * rain.slant_y)
     level = smoothstep(LEANING, PITCHED, nz + min(slant, ZERO))
-    upright = nz if nz > ZERO else min(nz + LEANING, ZERO)
+    upright = nz if nz > ZERO else min(nz + LEANING, ZERO)  # what leans over a little is a wall
     share = max(level, smoothstep(ZERO, FACING, slant + min(upright, ZERO)))
     damp = share * _damp_of(rain.supply * max(upright + slant, ZERO))
     if nz > UNDER_LOW:  # undersides get neither; normals of haze are noise, so the edge is soft

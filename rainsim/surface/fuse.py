@@ -130,7 +130,7 @@ def to_planes(position, weight, cell, wide):
 
     def work(part):
         at = position[part].astype(np.float64)
-        away, near = tree.query(at, k=k)
+        away, near = tree.query(at, k=range(1, k + 1))
         around = node[near]
         weights = base = total[near] * np.exp(-0.5 * (away / wide) ** 2)
         for _ in range(3):

@@ -447,6 +447,9 @@ def test_haze_far_from_every_place_faces_the_cameras_upright(yard):
     assert share[0] > 0.8
     np.testing.assert_allclose(normal[0], (0, 0, 1), atol=1e-3)
     np.testing.assert_allclose(normal[2:], [(0, -1, 0), (-0.6, -0.8, 0)], atol=1e-3)
+    one = surface._replace(**{name: value[:1] for name, value in surface._asdict().items()})
+    alone = SimpleNamespace(surface=one, middle=seen.middle)
+    assert np.isfinite(kept_surface.splat_normals(scene, alone, sky)[0]).all()
     sky[2] = True  # that of a sky that stays is not wetted
     normal, share = kept_surface.splat_normals(scene, seen, sky)
     np.testing.assert_allclose((normal @ frame.rotation.T)[2], (0, 0, -1), atol=1e-6)
