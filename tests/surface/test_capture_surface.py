@@ -5,11 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import factories
 import sunny_yard
 from rainsim.daylight.lit_surface import Surface, carried
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
+from rainsim.raster import Rasterizer
 from rainsim.scene.splat_sets import joined
 from rainsim.shading import backdrop
 from rainsim.splatting.prepared import GEOMETRY, LANES, prepare, turn
@@ -86,6 +88,11 @@ def test_what_cameras_look_through_is_no_surface(yard):
 
 def test_a_yard_without_sky_has_none(found, yard):
     assert not found.sky.any() and found.sky.shape == (len(yard.splats),)
+
+
+def test_the_least_depth_around_is_known_before_the_sky_is_left_out(yard):
+    for view in views.depth_views(yard, yard.cameras[:3], Rasterizer(prepare(yard.splats))):
+        np.testing.assert_array_equal(view.least, ndimage.minimum_filter(view.depth, 3))
 
 
 def view_of(light, up=0.0):
