@@ -11,7 +11,7 @@ from scipy.sparse import csgraph
 
 from rainsim.numerics.blocks import of_each
 from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
-from rainsim.surface.fuse import LEAST_VIEWS, MOST_THROUGH, counted
+from rainsim.surface.fuse import LEAST_VIEWS, are_agreed, counted
 
 ROWS, COLUMNS = 18, 72  # of the map: 5 degrees of elevation and of azimuth
 LOWEST = -0.01  # sine of the elevation from which on a pixel may show the sky
@@ -210,7 +210,7 @@ def _agreed(places, views):
     middle = np.median(eyes, axis=0)
     apart = np.median(np.linalg.norm(eyes - middle, axis=1))
     found = counted(np.ascontiguousarray(places, np.float32), np.zeros(len(places), "f4"), views)
-    solid = (found[:, 0] >= LEAST_VIEWS) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
+    solid = are_agreed(found, LEAST_VIEWS)
     solid &= np.linalg.norm(places - middle, axis=1) < FARTHEST * apart
     return solid.mean() if len(places) else 0.0
 

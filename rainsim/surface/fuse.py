@@ -75,7 +75,7 @@ def fused(views, middle, radius):
     size = voxel * 2.0 ** (keys >> 3 * KEY_BITS)
     found = counted(position, size.astype(np.float32), views)
     least = LEAST_VIEWS if len(views) >= MANY else FEW_VIEWS
-    solid = (found[:, 0] >= least) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
+    solid = are_agreed(found, least)
     position, towards = position[solid], sums[solid, 7:10]
     light = (sums[solid, 4:7] / number[solid]).astype(np.float32)
     size = size[solid].astype(np.float32)
@@ -177,6 +177,11 @@ def counted(position, size, views):
     for view in views:
         count_views(position, size, view, found)
     return found
+
+
+def are_agreed(found, least):
+    """Return which places `least` views see and few look through; `found` is of `counted`."""
+    return (found[:, 0] >= least) & (found[:, 1] <= MOST_THROUGH * found[:, 0])
 
 
 @serial_kernel
