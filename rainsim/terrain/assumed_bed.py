@@ -149,10 +149,13 @@ class PoorGround:
         above[:, 2] -= self.level(*above[:, :2].T)
         went = path_of(self._eyes, grid, WALKER)
         top, low = cover(above, grid, self.layer, ceiling, went)
-        label, _ = ndimage.label(top > 0)
-        clump = np.bincount(label.ravel())[label] * grid.cell_area < CLUMP
-        clump &= path_of(self._eyes, grid)
-        top[clump] = low[clump] = 0
+        label, count = ndimage.label(top > 0)
+        none = np.bincount(label.ravel())[label] * grid.cell_area < CLUMP
+        none &= path_of(self._eyes, grid)
+        # What rises over the layer by less than the ground scatters is a part of the layer.
+        peak = np.asarray(ndimage.maximum(top, label, np.arange(count + 1)))
+        none |= peak[label] < self.layer + self._scatter
+        top[none] = low[none] = 0
         bed = bed - foot_drop((top > 0) & (low == 0), grid.spacing)
         return bed, bed + top, bed + low
 
