@@ -15,6 +15,7 @@ LENGTH = 60.0  # m
 
 def test_a_drive_through_chunks_is_that_of_the_cpu(tmp_path):
     pytest.importorskip("gsply")
+    pytest.importorskip("imagecodecs")
     from rainsim.cuda import device
     from rainsim.cuda.raster import Rasterizer
 
