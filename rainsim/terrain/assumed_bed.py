@@ -153,8 +153,7 @@ class PoorGround:
         none = np.bincount(label.ravel())[label] * grid.cell_area < CLUMP
         none &= path_of(self._eyes, grid)
         # What rises over the layer by less than the ground scatters is a part of the layer.
-        peak = np.asarray(ndimage.maximum(top, label, np.arange(count + 1)))
-        none |= peak[label] < self.layer + self._scatter
+        none |= ndimage.maximum(top, label, range(count + 1))[label] < self.layer + self._scatter
         top[none] = low[none] = 0
         bed = bed - foot_drop((top > 0) & (low == 0), grid.spacing)
         return bed, bed + top, bed + low

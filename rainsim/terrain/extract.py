@@ -301,9 +301,7 @@ class _Cloud:
         self.below_ceiling &= ~floating | (self.above <= self.slab)
         self.overhead = self.below_ceiling & (self.above > self.slab)
         self.sweep = None
-        # Generated scenes were not photographed; along a drive pictures take too long.
-        photographed = scene.source is not None and scene.cameras and scene.pages is None
-        found = kept_surface(scene, step) if photographed else None
+        found = kept_surface(scene, step) if is_photographed(scene) else None
         if found is not None and self.poor is None:
             self.sweep = GroundSweep(scene, found.surface)
         self.places = self.position if found is None else found.surface.position
@@ -326,6 +324,11 @@ class _Cloud:
         """Return the bed with the grass taken off."""
         solid = np.where(self.near_bed, self.splats.opacity > 3 * FAINT, False)
         return bedding.soil_under_grass(bed, classes == GRASS, self.position, solid, grid)
+
+
+def is_photographed(scene):
+    """Tell whether a scene is a capture, not in chunks, whose cameras show its surface."""
+    return scene.source is not None and bool(scene.cameras) and scene.pages is None
 
 
 def _start_radius(scene, grid):

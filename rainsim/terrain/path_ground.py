@@ -15,7 +15,7 @@ from scipy import ndimage
 from rainsim.actors.footprint import with_footprints
 from rainsim.config.settings import TerrainConfig
 from rainsim.errors import BackendError, ParameterError, counted
-from rainsim.terrain.extract import MARGIN, arrays_over, pieces
+from rainsim.terrain.extract import MARGIN, arrays_over, is_photographed, pieces
 from rainsim.terrain.kept_terrain import kept_terrain
 from rainsim.terrain.map_size import MOST_CELLS, USUAL_SPACING, choose_grid
 from rainsim.terrain.types import NO_TOPS, UNKNOWN, Grid, Terrain
@@ -50,8 +50,7 @@ class PathGround:
     """The ground of a scene along a path.
 
     `overview` is the coarse map, actors on it; `path` has a camera for each of the frames, or one
-    for all, in the ground frame. Cells of `legs`, which are in the order of their frames, are
-    `spacing` [m] wide.
+    for all, in the ground frame. Cells of `legs`, in the order of frames, are `spacing` [m] wide.
     """
 
     def __init__(self, overview, path, frames, spacing):
@@ -179,9 +178,10 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
     """Tell whether the ground of a scene is mapped along the path of the cameras.
 
     By `auto` it is where one map for all would need wider cells than usual, or more cells of the
-    given size than the memory holds. Cameras from above, who see far, keep one map. `mask` are
-    classes of one map, or water on it. ParameterError if the path is asked for together with what
-    needs one map, BackendError if the backend cannot draw it.
+    given size than the memory holds. Cameras from above, who see far, keep one map, and so does a
+    photographed capture, whose ground is not known so finely. `mask` are classes of one map, or
+    water on it. ParameterError if the path is asked for together with what needs one map,
+    BackendError if the backend cannot draw it.
     """
     terrain, choice = config.terrain, config.terrain.ground_map
     if choice == "whole":
@@ -209,12 +209,10 @@ def follows_path(scene, config, cameras, backend="cpu", mask=None):
         return True
     eyes = scene.ground_frame.to_ground(np.array([camera.position for camera in cameras]))
     one_map = backend != "cpu" or len(cameras) == 1 or eyes[:, 2].max() > HIGH
-    if one_map or any(wrong for wrong, _, _ in needs_one):
+    if one_map or is_photographed(scene) or any(wrong for wrong, _, _ in needs_one):
         return False
     area = np.prod(choose_grid(scene, TerrainConfig())[0].size)
-    if terrain.spacing is None:
-        return bool(area > WIDE)
-    return bool(area > MOST_CELLS * terrain.spacing**2)
+    return bool(area > (WIDE if terrain.spacing is None else MOST_CELLS * terrain.spacing**2))
 
 
 def path_ground(scene, config, cameras):

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -224,6 +225,8 @@ def test_auto_takes_legs_where_one_map_would_be_too_coarse(scene, monkeypatch):
     assert not auto(cameras=aloft)
     assert not auto(level=0.1) and not auto(mask=np.zeros((4, 4), int))
     assert not follows_path(scene, CONFIG.replace(ground_map="whole"), DRIVE)
+    photographed = replace(scene, source=Path("street.ply"), cameras=DRIVE)
+    assert not follows_path(photographed, CONFIG.replace(ground_map="auto"), DRIVE)
 
 
 def _raised(view, height):
