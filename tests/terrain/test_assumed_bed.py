@@ -123,6 +123,10 @@ def test_where_cameras_went_nothing_stands():
     beside += [(u - 2, v + 0.7, 0.9) for u in clump for v in clump]
     _, found, _ = poor.cover(np.array(beside), GRID, np.zeros(GRID.shape), 3.0)
     assert (found[169, [87, 152]] > 0.8).tolist() == [True, False]
+    # What rises over the layer (0.375 m) by less than the scatter is ground, however wide.
+    mounds = [(u, v - 5, 0.5 if u < 0 else 0.6) for u in np.append(x, x + 8) for v in y]
+    _, found, _ = poor.cover(np.array(mounds), GRID, np.zeros(GRID.shape), 3.0)
+    assert not found[:, :150].any() and found[:, 150:].max() > 0.55
     top[row[4] - 40, 100:120] = 2.0  # a clump
     terrain = SimpleNamespace(grid=GRID, bed=0 * top, top=top, underside=low)
     layer = poor.layer_map(terrain, 0.1)
