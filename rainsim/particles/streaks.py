@@ -140,7 +140,7 @@ def _draw_field(
     for worker in prange(workers):
         scene, picture = SceneDepth(width, height, columns_out, tiles_out), pictures[worker]
         picture[:] = 0
-        draw_lines(lines, worker, len(lines), workers, view, scene, picture)
+        draw_lines(lines, np.int64(worker), len(lines), workers, view, scene, picture)
         t = jit.take_next(taken)
         while t < tasks.shape[0]:
             if air.far[tasks[t, 0]] > _NEAR:

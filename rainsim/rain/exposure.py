@@ -74,9 +74,10 @@ def _find_open_share(bed, top, underside, spacing, ways, ceiling, box, share_out
     """
     ny, nx = bed.shape
     first, last, lowest_row, highest_row = box
-    for j in prange(ny):
-        lowest, free = bed[j].min(), np.empty(nx, np.float32)
-        share_out[j] = ZERO
+    for j in prange(ny):  # with loops: operators of arrays take a second to compile
+        lowest, free = bed[j, 0], np.empty(nx, np.float32)
+        for i in range(nx):
+            lowest, share_out[j, i] = min(lowest, bed[j, i]), ZERO
         for n in range(ways.shape[0]):
             dx, dy = ways[n, 0], ways[n, 1]
             # At most a cell sideways, two cells up.
@@ -95,8 +96,10 @@ def _find_open_share(bed, top, underside, spacing, ways, ceiling, box, share_out
                         bed[j, left:right], rise, bed[there], top[there], underside[there],
                         free[left:right],
                     )  # fmt: skip
-            share_out[j] += free
-        share_out[j] /= np.float32(ways.shape[0])
+            for i in range(nx):
+                share_out[j, i] += free[i]
+        for i in range(nx):
+            share_out[j, i] /= np.float32(ways.shape[0])
 
 
 @device_function

@@ -211,7 +211,8 @@ def merge_shapes(
                 for i in range(places):
                     g[k * LANES + i] = row[begin + i, k]
             g[OPACITY * LANES + places : (OPACITY + 1) * LANES] = -np.inf
-            order_out[q * LANES : q * LANES + places] = member[begin : begin + places]
+            for i in range(places):  # to assign an array takes a second to compile
+                order_out[q * LANES + i] = member[begin + i]
 
 
 @cpu_kernel

@@ -185,8 +185,7 @@ def sum_tiles(tiles, h, remainder, film, ground_out, film_out, least_out):
     least_out : float64 array (tiles,) [m]. Smallest depth, film included.
     """
     for t in prange(tiles.shape[0]):
-        ground, held = 0.0, 0.0
-        west, east = tiles[t, 2], tiles[t, 3]
+        ground, held, west, east = 0.0, 0.0, tiles[t, 2], tiles[t, 3]
         lows = np.full(east - west, np.inf)  # a minimum along the row would be taken cell by cell
         for j in range(tiles[t, 0], tiles[t, 1]):
             d, extra, films = h[j, west:east], remainder[j, west:east], film[j, west:east]
@@ -197,4 +196,6 @@ def sum_tiles(tiles, h, remainder, film, ground_out, film_out, least_out):
             for c in range(east - west):
                 free = np.float64(d[c]) + np.float64(extra[c])
                 lows[c] = min(lows[c], free + np.float64(films[c]))
-        ground_out[t], film_out[t], least_out[t] = ground, held, lows.min()
+        for c in range(1, east - west):
+            lows[0] = min(lows[0], lows[c])
+        ground_out[t], film_out[t], least_out[t] = ground, held, lows[0]
