@@ -97,6 +97,4 @@ def tile_peaks(tiles, h, bed, deepest_out, highest_out):
                 deep[c] = max(deep[c], d[c])
                 level = b[c] + d[c]
                 high[c] = max(high[c], level) if d[c] > 0.0 else high[c]
-        for c in range(1, east - west):
-            deep[0], high[0] = max(deep[0], deep[c]), max(high[0], high[c])
-        deepest_out[t], highest_out[t] = deep[0], high[0]
+        deepest_out[t], highest_out[t] = deep[: east - west].max(), high[: east - west].max()

@@ -185,7 +185,8 @@ def sum_tiles(tiles, h, remainder, film, ground_out, film_out, least_out):
     least_out : float64 array (tiles,) [m]. Smallest depth, film included.
     """
     for t in prange(tiles.shape[0]):
-        ground, held, west, east = 0.0, 0.0, tiles[t, 2], tiles[t, 3]
+        ground, held = 0.0, 0.0
+        west, east = tiles[t, 2], tiles[t, 3]
         lows = np.full(east - west, np.inf)  # a minimum along the row would be taken cell by cell
         for j in range(tiles[t, 0], tiles[t, 1]):
             d, extra, films = h[j, west:east], remainder[j, west:east], film[j, west:east]
