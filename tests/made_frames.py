@@ -22,7 +22,7 @@ class MadeUpFrames:
 
     def __init__(self, frames=12, pause=0.0, at=None, fault="interrupt", once=None):
         self.config = Config().replace(frames=frames)
-        self.scene, self.states = tiny_scene(), None
+        self.scene, self.states, self.backend = tiny_scene(), None, "cpu"
         self.cameras = self.scene.cameras[:1]
         self.next, self.drawn, self._pause = 0, [], pause
         self.setups = 0  # how often the set-up was computed ahead

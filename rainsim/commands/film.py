@@ -422,7 +422,7 @@ def _draw_alone(status, sequence, run, resume):
     from rainsim.output_folder.frames import FrameFolder
 
     indices = sequence.config.indices
-    with FrameFolder(*run, resume) as folder:
+    with FrameFolder(*run, resume, sequence.backend == "cuda") as folder:
         if folder.kept:
             status.say(f"{len(folder.kept)} of {len(indices)} frames are finished and kept")
         missing = [index for index in indices if index not in folder.kept]

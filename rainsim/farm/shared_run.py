@@ -49,7 +49,8 @@ class SharedRun:
         """
         tell, say = progress or (lambda stage, done, total: None), say or (lambda notes: None)
         try:
-            with self._owned() as missing, FrameWriter(self._folder, self._note) as writer:
+            apart = sequence.backend == "cuda"
+            with self._owned() as missing, FrameWriter(self._folder, self._note, apart) as writer:
                 done = len(self._range) - len(missing)
                 for picture, report in sequence.frames(missing, tell):
                     say(report.notes)
@@ -118,7 +119,7 @@ class SharedRun:
                 "with --resume"
             )
 
-    def _note(self, report, names):
+    def _note(self, report, files):
         """Enter a written frame in the journal."""
         host = host_facts()
-        self._record.journal.add(report.index, names, **facts_of(report), host=host)
+        self._record.journal.add(report.index, files, **facts_of(report), host=host)

@@ -213,7 +213,7 @@ class Preview:
     def add(self, image):
         """Take the next frame, an ndarray of shape (height, width, 3), uint8."""
         if self._seen % self._stride == 0:
-            self._frames.append(_shrink(image, PREVIEW_WIDTH))
+            self._frames.append(shrunk(image))
         self._seen += 1
 
     def write(self, path):
@@ -228,9 +228,9 @@ class Preview:
                 ))  # fmt: skip
 
 
-def _shrink(image, width):
-    """Return the picture at most `width` px wide: means of whole blocks, the remainder cut off."""
-    block = -(-image.shape[1] // width)
+def shrunk(image):
+    """Return a picture as a preview shows it: means of whole blocks, the remainder cut off."""
+    block = -(-image.shape[1] // PREVIEW_WIDTH)
     rows, columns = image.shape[0] // block, image.shape[1] // block
     if block == 1 or rows == 0:
         return image.copy()

@@ -34,8 +34,12 @@ class Journal:
         return self.folder / self.name
 
     def add(self, index, names, **facts):
-        """Note a part whose files, named relative to the folder, are whole."""
-        files = {name: hash_of_file(self.folder / name) for name in names}
+        """Note a part whose files, named relative to the folder, are whole.
+
+        `names` may be a dict of their hashes, None where they are not known.
+        """
+        known = names if isinstance(names, dict) else dict.fromkeys(names)
+        files = {name: known[name] or hash_of_file(self.folder / name) for name in known}
         line = json.dumps({"index": index, "files": files, **facts}, allow_nan=False)
         path = self._parts / f"{self._own}.jsonl" if self._own else self.path
         with naming(path), open(path, "a", encoding="utf-8") as file:

@@ -18,10 +18,11 @@ class FrameFolder:
 
     The folder is as `claimed` yields it. There is a camera for each frame of the whole sequence, or
     one for all. `resume` goes on with an unfinished run in the folder: `kept` has the journal's
-    entries of the frames that need not be drawn, by index.
+    entries of the frames that need not be drawn, by index. With `apart` processes encode pictures,
+    unless there is a video.
     """
 
-    def __init__(self, folder, record, cameras, config, video=None, resume=False):
+    def __init__(self, folder, record, cameras, config, video=None, resume=False, apart=False):
         from rainsim.io import images
 
         self._image, self.folder, self.record = images, folder, record
@@ -30,7 +31,7 @@ class FrameFolder:
         self._preview = images.Preview(len(config.indices), config.fps)
         self._stack, self._video = ExitStack(), None
         self._format = video
-        self._writer = FrameWriter(folder, self._note)
+        self._writer = FrameWriter(folder, self._note, apart and not video)
         self._has_begun, self.reports, self._handed = False, [], 0
 
     def __enter__(self):
@@ -57,10 +58,10 @@ class FrameFolder:
         if self._video is not None:
             self._video.add(picture)
 
-    def _note(self, report, names):
+    def _note(self, report, files):
         """Enter a written frame in the record and its journal."""
-        self.record.add(JOURNAL, *names)
-        self.record.journal.add(report.index, names, **facts_of(report), host=host_facts())
+        self.record.add(JOURNAL, *files)
+        self.record.journal.add(report.index, files, **facts_of(report), host=host_facts())
         self.reports.append(report)
 
     def _keep_until(self, end):

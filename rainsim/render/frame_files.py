@@ -2,12 +2,14 @@
 
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
 
 from rainsim.compiling.pool import cores
 from rainsim.io.files import write_json
+from rainsim.io.fingerprint import hash_of_file
 from rainsim.render.report import FrameReport
 
 FRAME = "frames/{:05d}.png"
@@ -21,66 +23,79 @@ class FrameWriter:
     Use as a context manager: on the way out the frames that are being written are waited for.
 
     folder : Path
-    noted : callable. noted(report, names) is called when all files of a frame are
-        whole, for one frame after another in a thread beside the caller's; names
-        are relative to the folder, the picture's first; the report has no layers
-        any more.
+    noted : callable. noted(report, files) is called when all files of a frame are
+        whole, for one frame after another; `files` are the hashes, or None, of
+        names relative to the folder, the picture's first; the report has no
+        layers any more.
+    apart : bool. Whether processes encode in place of threads, where that is
+        possible.
     """
 
-    def __init__(self, folder, noted):
+    def __init__(self, folder, noted, apart=False):
         self.folder, self._noted = folder, noted
-        self._writers, self._notes = ThreadPoolExecutor(WRITERS), ThreadPoolExecutor(1)
         self._pending = deque()  # frames that are being written
+        self._encoders = _encoders(apart)
 
     def __enter__(self):
         return self
 
     def __exit__(self, *exception):
-        try:
-            self.wait()
-        finally:
-            self._writers.shutdown()
-            self._notes.shutdown()
+        with ExitStack() as stack:  # whatever fails, the other frames are noted
+            stack.callback(self._encoders.shutdown)
+            while self._pending:
+                stack.callback(self._note, *self._pending.pop())  # called in the opposite order
 
     def add(self, picture, report, also=None):
         """Begin to write a frame, once fewer than WRITERS are being written.
 
         picture : uint8 array (height, width, 3)
         report : FrameReport
-        also : callable, optional. Called with the picture, in the order of the
-            frames, when it is written and before the frame is noted.
+        also : callable, optional. Called with the picture, or with that of a
+            preview if processes encode, in the order of the frames, when it is
+            written and before the frame is noted.
         Raises OSError if this frame's layers or a frame before could not be
             written.
         """
         self.wait(WRITERS - 1)
         (self.folder / "frames").mkdir(exist_ok=True)
         names = write_layers(self.folder, report) if report.aovs else ()
-        picture = picture.copy()  # on a GPU the next frame overwrites it
-        written = self._writers.submit(self._write, picture, report.index)
+        written = self._encoders.submit(picture, self.folder / FRAME.format(report.index))
         about = replace(report, aovs={}, parts=None)
-        self._pending.append(self._notes.submit(self._note, written, picture, about, names, also))
+        self._pending.append((written, about, names, also))
 
     def wait(self, most=0):
-        """Wait until at most so many frames are being written."""
-        try:
-            while len(self._pending) > most:
-                self._pending.popleft().result()
-        except BaseException:
-            self._pending.clear()  # the others are still noted if they can be written
-            raise
+        """Note the frames that are written; wait until at most so many are being written."""
+        while self._pending and (len(self._pending) > most or self._pending[0][0].done()):
+            self._note(*self._pending.popleft())
 
-    def _write(self, picture, index):
-        from rainsim.io.images import write_png
-
-        name = FRAME.format(index)
-        write_png(self.folder / name, picture)
-        return name
-
-    def _note(self, written, picture, report, names, also):
-        name = written.result()
+    def _note(self, written, report, names, also):
+        digest, picture = written.result()
         if also is not None:
             also(picture)
-        self._noted(report, (name, *names))
+        self._noted(report, {FRAME.format(report.index): digest, **dict.fromkeys(names)})
+
+
+def _encoders(apart):
+    from rainsim.render import picture_processes
+
+    if apart and picture_processes.POSSIBLE:
+        return picture_processes.PictureProcesses(WRITERS)
+    return _Threads(WRITERS)
+
+
+class _Threads(ThreadPoolExecutor):
+    """Threads that encode pictures."""
+
+    def submit(self, picture, path):
+        picture = picture.copy()  # on a GPU the next frame overwrites it
+        return super().submit(_encode, picture, path)
+
+
+def _encode(picture, path):
+    from rainsim.io import images
+
+    images.write_png(path, picture)
+    return hash_of_file(path), picture
 
 
 def write_layers(folder, report):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rainsim.config.settings import Config
-from rainsim.errors import ParameterError
+from rainsim.errors import ParameterError, RainsimError
 from rainsim.io import images
 from rainsim.io.claim import ClaimedError, claim
 from rainsim.output_folder.claims import claimed
@@ -210,8 +210,8 @@ def test_temporary_files_of_the_program_go_and_those_of_others_stay(tmp_path):
 
 
 @pytest.fixture
-def sequence(tmp_path, monkeypatch):
-    """A folder that takes three frames, and a function that draws one into the same array."""
+def begin(tmp_path, monkeypatch):
+    """A function that returns a folder for three frames, and one that draws into one array."""
     monkeypatch.setattr(frame_files, "WRITERS", 3)
     config = Config().replace(frames=3)
     picture = np.zeros((6, 8, 3), np.uint8)
@@ -220,20 +220,62 @@ def sequence(tmp_path, monkeypatch):
         picture[:] = 40 * (index + 1)
         film.add(picture, FrameReport(index, 0.0, {"draw": 1.0}, {"rain": index}))
 
-    film = FrameFolder(tmp_path, Record(tmp_path), tiny_scene().cameras[:1], config)
-    return SimpleNamespace(film=film, add=add, folder=tmp_path)
+    def begun(folder="threads", apart=False):
+        folder, cameras = tmp_path / folder, tiny_scene().cameras[:1]
+        folder.mkdir()
+        film = FrameFolder(folder, Record(folder), cameras, config, apart=apart)
+        return SimpleNamespace(film=film, add=add, folder=folder)
+
+    return begun
+
+
+@pytest.fixture
+def sequence(begin):
+    return begin()
+
+
+def draw(sequence, *indices):
+    with sequence.film as film:
+        for index in indices:
+            sequence.add(film, index)
 
 
 def test_frames_are_written_while_the_next_overwrites_the_picture(sequence):
-    with sequence.film as film:
-        for index in range(3):
-            sequence.add(film, index)
+    draw(sequence, 0, 1, 2)
     for index in range(3):
         written = images.read_image(sequence.folder / f"frames/{index:05d}.png")
         assert (written == 40 * (index + 1)).all()
     record = read_record(sequence.folder)
     assert record["complete"] and record["frames"] == [0, 1, 2] and record["ledger"] == {"rain": 2}
     assert (sequence.folder / "preview.webp").is_file()
+
+
+def test_processes_write_what_threads_do(begin):
+    files = []
+    for sequence in (begin(), begin("apart", apart=True)):
+        draw(sequence, 0, 1, 2)
+        names = ("preview.webp", *(f"frames/{index:05d}.png" for index in range(3)))
+        files.append([(sequence.folder / name).read_bytes() for name in names])
+        assert list(sequence.film.record.journal.finished(range(3))) == [0, 1, 2]  # by their hashes
+    assert files[0] == files[1]
+
+
+def test_what_a_process_cannot_write_is_an_error_of_the_run(begin):
+    sequence = begin(apart=True)
+    with pytest.raises(IsADirectoryError, match=r"00001\.png"), sequence.film as film:
+        sequence.add(film, 0)
+        (sequence.folder / "frames/00001.png").mkdir()
+        sequence.add(film, 1)
+        sequence.add(film, 2)
+    assert read_record(sequence.folder)["frames"] == [0, 2]
+
+
+def test_a_process_that_is_killed_ends_the_run_in_one_line(begin):
+    sequence = begin(apart=True)
+    for process in sequence.film._writer._encoders._processes:
+        process._process.kill()
+    with pytest.raises(RainsimError, match=r"ended with status -9; .* go on with --resume"):
+        draw(sequence, 0)
 
 
 def test_a_slow_frame_is_noted_before_quick_ones_that_follow(sequence, monkeypatch):
