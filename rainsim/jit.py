@@ -55,11 +55,11 @@ inlined_function = device_function(forceinline=True, _nrt=False)
 called_function = device_function(forceinline=False, _nrt=False)
 
 
-def _kernel(in_threads=False, thorough=False, **options):
+def _kernel(in_threads=False, **options):
     by_parts = in_threads and callees.IS_TESTED
     options = {"nogil": True, "error_model": "numpy", "fastmath": _FAST, **options}
     options |= {"parallel": True} if in_threads and not by_parts else {}
-    shown = {**options, "fastmath": sorted(_FAST), "thorough": thorough, "by_parts": by_parts}
+    shown = {**options, "fastmath": sorted(_FAST), "by_parts": by_parts}
 
     def decorate(function):
         kernel = njit(**options)(function)
@@ -67,14 +67,13 @@ def _kernel(in_threads=False, thorough=False, **options):
             folder = CACHE_FOLDER / function.__module__
             kernel._cache = KernelCache(function, folder, str(shown))
             KERNELS[kernel._cache.kernel_name] = kernel
-        kernel.thorough, kernel.by_parts = thorough, by_parts  # see `callees` and `parts`
+        kernel.by_parts = by_parts  # see `callees`
         return kernel
 
     return decorate
 
 
 cpu_kernel = _kernel(in_threads=True)
-thorough_kernel = _kernel(in_threads=True, thorough=True)
 serial_kernel = _kernel()
 
 
@@ -140,7 +139,6 @@ __all__ = [
     "prange",
     "serial_kernel",
     "take_next",
-    "thorough_kernel",
     "types",
 ]
 

@@ -37,7 +37,7 @@ from rainsim.compiling.uses import (
 )
 
 SCENE = "bicycle"
-SIZE = ("--width", "96", "--spacing", "0.05")
+SIZE = ("--width", "96")  # on a map as fine as any: a coarse one has other reflections
 
 
 def command_lines(use, folder):

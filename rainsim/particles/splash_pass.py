@@ -163,7 +163,7 @@ def recent_windows(field, surfaces, camera, time, exposure, smallest, least):
     return Windows(*(np.concatenate(parts) for parts in zip(*windows, strict=True)))
 
 
-@jit.thorough_kernel
+@jit.cpu_kernel
 def _draw_splashes(
     tasks, windows, field, surfaces, water, drips, view, depth, columns_out, tiles_out, pictures,
     alpha_out, seen_out, position_out, ids_out,

@@ -32,7 +32,7 @@ GROUP = 512  # records that a thread takes at a time
 NUMBERS = 25 * CHUNK
 
 
-@jit.thorough_kernel
+@jit.cpu_kernel
 def mirror_light(
     which, record, view: View, mirror: planar_mirror.MirrorPicture, light_out, source_out
 ):

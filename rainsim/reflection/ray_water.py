@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
-from rainsim.jit import device_function, inlined_function, lean_function, prange, thorough_kernel
+from rainsim.jit import cpu_kernel, device_function, inlined_function, lean_function, prange
 from rainsim.numerics.interpolation import bilinear, map_place, smoothstep
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
 from rainsim.reflection.water_surface import WaterMap
@@ -31,7 +31,7 @@ FAR_OFF = np.float32(5e-3)  # m of height between the last two steps: they do no
 NUMBERS = 9 * CHUNK
 
 
-@thorough_kernel
+@cpu_kernel
 def meet_water(
     depth, view: View, water_map: WaterMap, highest, row_order, cover, hit_out, coverage_out,
     count_out,

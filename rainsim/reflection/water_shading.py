@@ -315,7 +315,7 @@ def list_water(
                 n += 1
 
 
-@jit.thorough_kernel
+@jit.cpu_kernel
 def tilt_water(ripples: Ripples, tops: wet_tops.TopMaps, record_out):
     """Tilt the listed water by the ripples: modifies the slopes of `record_out` (n, RECORD)."""
     for n in prange(len(record_out)):
@@ -324,7 +324,7 @@ def tilt_water(ripples: Ripples, tops: wet_tops.TopMaps, record_out):
         )
 
 
-@jit.thorough_kernel
+@jit.cpu_kernel
 def lay_water(
     pixel, record, light, background: Background, view: View, optics: Optics, picture_out
 ):

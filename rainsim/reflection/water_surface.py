@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.io import cache
-from rainsim.jit import cpu_kernel, device_function, inlined_function, prange, thorough_kernel
+from rainsim.jit import cpu_kernel, device_function, inlined_function, prange
 
 GRASS_HEIGHT = 0.05  # m of water that closes over a lawn
 HIGH_GRASS = np.float32(GRASS_HEIGHT)
@@ -131,7 +131,7 @@ def is_smooth(depth, mirrors):
     return mirrors | (depth > HIGH_GRASS)  # without a branch, so that a row is one in vectors
 
 
-@thorough_kernel
+@cpu_kernel
 def _continue(bed, depth, mirrors, relief, wide, narrow, far, surface_out, over_out, highest_out):
     """Write the results of `water_surface`: heights of the surface, depths, the highest water.
 

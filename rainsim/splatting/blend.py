@@ -53,7 +53,7 @@ def deal(entry, record, begin, end, left, top, is_open, bits, number, chosen_out
         count_out[block] = n
 
 
-@jit.thorough_kernel
+@jit.cpu_kernel
 def blend_tiles(
     record, entry, start, height, width, lens, orthographic, background, halfway, drop_last,
     color_out, alpha_out, depth_out, plane_out, normal_out, half_out,

@@ -24,12 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.splatting.level_kernels import (
-    find_cells,
-    measure_groups,
-    merge_colors,
-    merge_shapes,
-)
+from rainsim.splatting.level_kernels import LEAST, find_cells, merge_colors, merge_shapes
 from rainsim.splatting.prepared import (
     GEOMETRY,
     LANES,
@@ -44,6 +39,7 @@ from rainsim.splatting.prepared import (
 SIDES = tuple(0.01 * 2**k for k in range(7))  # m, of the cells of the levels
 GROUP = 8  # chunks whose level is chosen together
 WIDE = 64  # chunks of a group where one level is made: a leaf of a big capture
+ASIDE = 0.2  # share of a group's centres that its box leaves out on each side
 WORTH = 0.8  # of a group's splats at the level before: with more, a level is left out
 
 
@@ -88,12 +84,10 @@ class Detail:
         n = len(prepared.box)
         self._leading = n if prepared.leading is None else prepared.leading
         self._size, self._worth = group, worth
-        groups = -(-self._leading // group)
-        before, reach = np.empty(groups, np.int64), np.empty((groups, 6), np.float32)
-        self._weight = np.empty(self._leading * LANES, np.float32)
-        measure_groups(prepared.geometry, self._leading, group, before, reach, self._weight)
+        parts = prepared.geometry[: self._leading].reshape(self._leading, GEOMETRY, LANES)
+        before, reach, self._weight = measured(parts, group)
         number = np.empty((len(sides), self._leading * LANES), np.int16)
-        count = np.empty((len(sides), groups, 2), np.int64)
+        count = np.empty((len(sides), len(before), 2), np.int64)
         self._levels = [
             self._level(prepared, np.float32(side), before, *at)
             for side, *at in zip(sides, number, count, strict=True)
@@ -194,6 +188,36 @@ class Detail:
             own.sh, own.fine, own.step, self._weight, self._leading, self._size, self._number,
             self._numbers, place, drawn.sh, drawn.fine, drawn.step,
         )  # fmt: skip
+
+
+def measured(parts, size):
+    """Return the splats of groups of `size` chunks, the box of most centres, and weights of splats.
+
+    parts : float32 array (chunks, 13, 256). Geometry.
+    Returns count : int64 array (groups,)
+        reach : float32 array (groups, 6) [capture units]. The box leaves out a
+            share `ASIDE` of the centres on each side.
+        weight : float32 array (256 chunks,) [capture units^2]. Light that each
+            splat stops: its opacity times a measure of its mean shadow over all
+            directions.
+    """
+    groups = -(-len(parts) // size)
+    with np.errstate(all="ignore"):  # absurd splats
+        opacity = np.exp2(parts[:, OPACITY])
+        xx, xy, xz, yy, yz, zz = parts[:, 3:9].swapaxes(0, 1)
+        minors = xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
+        weight = np.fmax(opacity * np.sqrt(np.fmax(minors, 0)), LEAST)
+    there = (opacity > 0) & np.isfinite(parts[:, :3]).all(axis=1)
+    place = np.full((groups * size, 3, LANES), np.inf, np.float32)
+    np.copyto(place[: len(parts)], parts[:, :3], where=there[:, None])
+    place = np.sort(
+        place.reshape(groups, size, 3, LANES).swapaxes(1, 2).reshape(groups, 3, size * LANES)
+    )
+    count = np.isfinite(place[:, 0]).sum(axis=1)
+    beside = (ASIDE * count).astype(np.int64)
+    ends = np.stack([beside, np.maximum(count - 1 - beside, 0)], axis=1)[:, None]
+    reach = np.where(count[:, None, None] > 0, np.take_along_axis(place, ends, 2), 0)
+    return count, reach.swapaxes(1, 2).reshape(groups, 6), weight.ravel()
 
 
 def with_room(array, first):

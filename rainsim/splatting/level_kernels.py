@@ -12,7 +12,6 @@ from rainsim.splatting.prepared import GEOMETRY, LANES, LARGEST, OPACITY
 # the built-in lawn have: rounding would decide about each, and processors may round otherwise.
 FLAT = 0.31
 FAINT = np.float32(-20)  # log2 of the opacity up to which a splat is not merged
-ASIDE = 0.2  # share of a group's centres that its box leaves out on each side
 CHUNK_SLOTS = 2 * LANES  # of a group's table of cells for each chunk: twice as many as splats
 CELLS = 1 << 19  # along an axis, on either side of the origin: a cell's key is one whole number
 MIX = np.uint64(0x9E3779B97F4A7C15)  # Knuth's multiplier for hashes, 2^64 over the golden ratio
@@ -29,44 +28,6 @@ def area_of(xx, xy, xz, yy, yz, zz):
     """Return a measure of a splat's mean shadow over all directions, from its covariance."""
     minors = xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
     return math.sqrt(max(minors, 0.0))
-
-
-@cpu_kernel
-def measure_groups(geometry, leading, size, count_out, reach_out, weight_out):
-    """Count the splats of each group, write the box of most centres, and weigh each splat.
-
-    geometry : float32 array (chunks, 13 * 256)
-    leading : int. Chunks that are looked at.
-    size : int. Chunks of a group.
-    count_out : int64 array (groups,)
-    reach_out : float32 array (groups, 6) [capture units]. The box leaves out a
-        share `ASIDE` of the centres on each side.
-    weight_out : float32 array (256 leading,) [capture units^2]. Light that each
-        splat stops: its opacity times a measure of its area.
-    """
-    for group in prange(len(count_out)):
-        place = np.empty((3, size * LANES), np.float32)
-        count = 0
-        for chunk in range(group * size, min(group * size + size, leading)):
-            g = geometry[chunk]
-            for i in range(LANES):
-                opacity = np.float32(2.0) ** g[OPACITY * LANES + i]
-                area = area_of(
-                    g[3 * LANES + i], g[4 * LANES + i], g[5 * LANES + i], g[6 * LANES + i],
-                    g[7 * LANES + i], g[8 * LANES + i],
-                )  # fmt: skip
-                weight_out[chunk * LANES + i] = max(opacity * area, LEAST)
-                far = max(abs(g[i]), max(abs(g[LANES + i]), abs(g[2 * LANES + i])))
-                if opacity > ZERO and far < np.inf:
-                    for k in range(3):
-                        place[k, count] = g[k * LANES + i]
-                    count += 1
-        count_out[group] = count
-        for k in range(3):
-            ordered = np.sort(place[k, :count])
-            beside = np.int64(ASIDE * count)
-            reach_out[group, k] = ordered[beside] if count > 0 else ZERO
-            reach_out[group, 3 + k] = ordered[count - 1 - beside] if count > 0 else ZERO
 
 
 @cpu_kernel

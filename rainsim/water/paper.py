@@ -31,7 +31,7 @@ Mueller 2010, "Real-time simulation of large bodies of water with small scale de
 import numpy as np
 
 from rainsim.constants import FOUR, ONE, QUARTER, TWO, ZERO
-from rainsim.jit import cpu_kernel, device_function, prange, thorough_kernel
+from rainsim.jit import cpu_kernel, device_function, prange
 from rainsim.numerics.approximations import cube_root
 from rainsim.water.bundles import Ground, StepNumbers
 
@@ -98,7 +98,7 @@ def carry_v(u, v, k, j, i, left, right):
     return sample(v, -k * QUARTER * across, -k * v[j, i], j, j - 1, j + 1, i, left, right)
 
 
-@thorough_kernel
+@cpu_kernel
 def flow(h, u, v, k, dry, remainder_out, h_out, u_out, v_out):
     """Carry velocity (semi-Lagrangian) and depth (upwind flux form) over one step.
 
@@ -254,7 +254,7 @@ def extend_v(h, v, j, south, north, i, left, right):
     )  # fmt: skip
 
 
-@thorough_kernel
+@cpu_kernel
 def extrapolate(h, u, v, u_out, v_out):
     """Copy the velocity; each dry inner face gets the mean of those neighbours that touch water.
 

@@ -9,7 +9,7 @@ from numba.core.registry import cpu_target
 
 from rainsim.compiling import callees
 from rainsim.compiling.kernel_cache import KernelCache
-from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel, thorough_kernel
+from rainsim.jit import cpu_kernel, device_function, prange, serial_kernel
 
 pytestmark = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="there are no kernels to compile"
@@ -53,24 +53,23 @@ def test_functions_are_linked_into_their_kernel_and_nowhere_else(poisoned):
     assert _with_code() == before
 
 
-@pytest.mark.parametrize(("mark", "in_full"), [(cpu_kernel, False), (thorough_kernel, True)])
-def test_only_thorough_kernels_have_what_they_call_optimised_in_full(
-    monkeypatch, poisoned, tmp_path, mark, in_full
+def test_a_kernel_gets_the_full_passes_and_what_it_calls_the_cheap_ones(
+    monkeypatch, poisoned, tmp_path
 ):
-    optimised = []
-    whole = callees.JITCodeLibrary._optimize_final_module
+    made, asked = type(cpu_target.target_context.codegen()), []
+    whole = made._module_pass_manager
 
-    def optimise(library):
-        optimised.append(library.name)
-        whole(library)
+    def passes(codegen, **options):
+        asked.append(options.get("opt"))
+        return whole(codegen, **options)
 
-    monkeypatch.setattr(callees.JITCodeLibrary, "_optimize_final_module", optimise)
+    monkeypatch.setattr(made, "_module_pass_manager", passes)
 
     @device_function
     def called(x):
         return np.sqrt(x) * np.float32(0.1) + np.log(x)
 
-    @mark
+    @cpu_kernel
     def outer(x, x_out):
         for i in prange(len(x)):
             x_out[i] = called(x[i])
@@ -79,8 +78,7 @@ def test_only_thorough_kernels_have_what_they_call_optimised_in_full(
     found = poisoned(len(X))
     outer(X, found)
     np.testing.assert_allclose(found, EXPECTED, rtol=1e-6)
-    assert any("outer" in name for name in optimised)
-    assert any("called" in name.rpartition(".")[2] for name in optimised) == in_full
+    assert sorted(map(str, asked)) == ["0", "0", "None"]  # called, the body of the loop, the kernel
 
 
 def test_what_is_no_kernel_is_compiled_as_numba_does_it():

@@ -15,7 +15,7 @@ TEXTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
 # What marks a function that numba compiles, on either backend.
 KERNELS = {
-    "cpu_kernel", "thorough_kernel", "serial_kernel", "cuda_kernel", "fast_kernel", "tight_kernel",
+    "cpu_kernel", "serial_kernel", "cuda_kernel", "fast_kernel", "tight_kernel",
     "cuda.jit",
 }  # fmt: skip
 FORMULAS = {
