@@ -1,9 +1,9 @@
 """A journal of finished parts: a line of JSON for each, with the hashes of the files it wrote.
 
-A part is noted when all of its files are whole. A run that was killed therefore leaves at most one
-part that is not noted, and a line that is cut off; both count as not done. Where several processes
-fill one folder, on one machine or on many, each has a journal of its own until all is done: a
-shared disk does not keep lines apart that two machines append to one file.
+A part is noted when all of its files are whole. A run that was killed leaves parts that are not
+noted, those that were being written, and a line that is cut off; all count as not done. Where
+several processes fill one folder, on one machine or on many, each has a journal of its own until
+all is done: a shared disk does not keep lines apart that two machines append to one file.
 """
 
 import json

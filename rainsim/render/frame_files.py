@@ -1,15 +1,19 @@
 """The files of frames: a picture for each, and its layers."""
 
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from rainsim.compiling.pool import cores
 from rainsim.io.files import write_json
 from rainsim.io.fingerprint import hash_of_file
+from rainsim.render import picture_processes
 from rainsim.render.report import FrameReport
 
 FRAME = "frames/{:05d}.png"
@@ -34,7 +38,10 @@ class FrameWriter:
     def __init__(self, folder, noted, apart=False):
         self.folder, self._noted = folder, noted
         self._pending = deque()  # frames that are being written
-        self._encoders = _encoders(apart)
+        apart = apart and picture_processes.POSSIBLE
+        self._encoders = picture_processes.PictureProcesses(WRITERS) if apart else _Threads(WRITERS)
+        # What draws notes frames itself where no other thread is to disturb it.
+        self._notes = None if apart else ThreadPoolExecutor(1)
 
     def __enter__(self):
         return self
@@ -42,8 +49,10 @@ class FrameWriter:
     def __exit__(self, *exception):
         with ExitStack() as stack:  # whatever fails, the other frames are noted
             stack.callback(self._encoders.shutdown)
+            if self._notes is not None:
+                stack.callback(self._notes.shutdown)
             while self._pending:
-                stack.callback(self._note, *self._pending.pop())  # called in the opposite order
+                stack.callback(self._pending.pop().result)  # called in the opposite order
 
     def add(self, picture, report, also=None):
         """Begin to write a frame, once fewer than WRITERS are being written.
@@ -60,13 +69,16 @@ class FrameWriter:
         (self.folder / "frames").mkdir(exist_ok=True)
         names = write_layers(self.folder, report) if report.aovs else ()
         written = self._encoders.submit(picture, self.folder / FRAME.format(report.index))
-        about = replace(report, aovs={}, parts=None)
-        self._pending.append((written, about, names, also))
+        about = written, replace(report, aovs={}, parts=None), names, also
+        if self._notes is None:
+            self._pending.append(_Later(written.done, partial(self._note, *about)))
+        else:
+            self._pending.append(self._notes.submit(self._note, *about))
 
     def wait(self, most=0):
         """Note the frames that are written; wait until at most so many are being written."""
-        while self._pending and (len(self._pending) > most or self._pending[0][0].done()):
-            self._note(*self._pending.popleft())
+        while self._pending and (len(self._pending) > most or self._pending[0].done()):
+            self._pending.popleft().result()
 
     def _note(self, written, report, names, also):
         digest, picture = written.result()
@@ -75,12 +87,11 @@ class FrameWriter:
         self._noted(report, {FRAME.format(report.index): digest, **dict.fromkeys(names)})
 
 
-def _encoders(apart):
-    from rainsim.render import picture_processes
+class _Later(NamedTuple):
+    """A future whose result is found when it is asked for."""
 
-    if apart and picture_processes.POSSIBLE:
-        return picture_processes.PictureProcesses(WRITERS)
-    return _Threads(WRITERS)
+    done: Callable
+    result: Callable
 
 
 class _Threads(ThreadPoolExecutor):

@@ -19,7 +19,6 @@ import numpy as np
 from rainsim.compiling.pool import child_environment
 from rainsim.errors import RainsimError
 from rainsim.io.fingerprint import hash_of_file
-from rainsim.io.images import shrunk, write_png
 
 POSSIBLE = hasattr(os, "memfd_create")  # memory that processes share, on Linux
 
@@ -88,6 +87,8 @@ class _Process:
 
 def _serve(memory, requests, answers):
     """Write the pictures of requests, lines of JSON; leave previews in the memory."""
+    from rainsim.io.images import shrunk, write_png
+
     for line in requests:
         height, width, path = json.loads(line)
         with mmap.mmap(memory, 0) as shared:
