@@ -37,7 +37,8 @@ from rainsim.compiling.uses import (
 )
 
 SCENE = "bicycle"
-SIZE = ("--width", "96")  # on a map as fine as any: a coarse one has other reflections
+SIZE = ("--width", "96")
+COARSE = ("--spacing", "0.05")  # a map on which tops slope that are level on the usual one
 
 
 def command_lines(use, folder):
@@ -68,8 +69,9 @@ def command_lines(use, folder):
     if use == LAYERS:  # two frames of a slow circle: a cut has no flow
         words, count = [*words, "--layers", "all", "--orbit", "--frame-range", "0:2"], "240"
     return [
-        ("run", "--scene", scene, "--preset", preset, *SIZE, "--frames", count, *words, "--out",
-         f"{folder}/frames", "-q"),
+        ("run", "--scene", scene, "--preset", preset, *SIZE, *more, "--frames", count, *words,
+         "--out", f"{folder}/frames{len(more)}", "-q")
+        for more in ((), COARSE)
     ]  # fmt: skip
 
 
