@@ -49,14 +49,15 @@ class SharedRun:
         """
         tell, say = progress or (lambda stage, done, total: None), say or (lambda notes: None)
         try:
-            apart = sequence.backend == "cuda"
-            with self._owned() as missing, FrameWriter(self._folder, self._note, apart) as writer:
+            with self._owned() as missing:
                 done = len(self._range) - len(missing)
-                for picture, report in sequence.frames(missing, tell):
-                    say(report.notes)
-                    writer.add(picture, report)
-                    done += 1
-                    tell("frames", done, len(self._range))
+                apart = len(missing) if sequence.backend == "cuda" else 0
+                with FrameWriter(self._folder, self._note, apart) as writer:
+                    for picture, report in sequence.frames(missing, tell):
+                        say(report.notes)
+                        writer.add(picture, report)
+                        done += 1
+                        tell("frames", done, len(self._range))
         except FileNotFoundError as error:
             raise InputError(
                 f"{error.filename} is gone while frames are drawn; the output folder must stay "

@@ -31,7 +31,8 @@ class FrameFolder:
         self._preview = images.Preview(len(config.indices), config.fps)
         self._stack, self._video = ExitStack(), None
         self._format = video
-        self._writer = FrameWriter(folder, self._note, apart and not video)
+        missing = len(config.indices) - len(self.kept)
+        self._writer = FrameWriter(folder, self._note, missing if apart and not video else 0)
         self._has_begun, self.reports, self._handed = False, [], 0
 
     def __enter__(self):

@@ -31,17 +31,18 @@ class FrameWriter:
         whole, for one frame after another; `files` are the hashes, or None, of
         names relative to the folder, the picture's first; the report has no
         layers any more.
-    apart : bool. Whether processes encode in place of threads, where that is
-        possible.
+    apart : int. Frames that processes encode in place of threads, where that is
+        possible: no more processes are begun than there are frames.
     """
 
-    def __init__(self, folder, noted, apart=False):
+    def __init__(self, folder, noted, apart=0):
         self.folder, self._noted = folder, noted
         self._pending = deque()  # frames that are being written
-        apart = apart and picture_processes.POSSIBLE
-        self._encoders = picture_processes.PictureProcesses(WRITERS) if apart else _Threads(WRITERS)
+        count = min(WRITERS, apart) if picture_processes.POSSIBLE else 0
+        self._most = count or WRITERS
+        self._encoders = picture_processes.PictureProcesses(count) if count else _Threads(WRITERS)
         # What draws notes frames itself where no other thread is to disturb it.
-        self._notes = None if apart else ThreadPoolExecutor(1)
+        self._notes = None if count else ThreadPoolExecutor(1)
 
     def __enter__(self):
         return self
@@ -55,7 +56,7 @@ class FrameWriter:
                 stack.callback(self._pending.pop().result)  # called in the opposite order
 
     def add(self, picture, report, also=None):
-        """Begin to write a frame, once fewer than WRITERS are being written.
+        """Begin to write a frame, once fewer than can be at a time are being written.
 
         picture : uint8 array (height, width, 3)
         report : FrameReport
@@ -65,7 +66,7 @@ class FrameWriter:
         Raises OSError if this frame's layers or a frame before could not be
             written.
         """
-        self.wait(WRITERS - 1)
+        self.wait(self._most - 1)
         (self.folder / "frames").mkdir(exist_ok=True)
         names = write_layers(self.folder, report) if report.aovs else ()
         written = self._encoders.submit(picture, self.folder / FRAME.format(report.index))

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -57,11 +58,9 @@ class _Process:
 
     def begin(self, picture, path):
         os.pwrite(self._memory, np.ascontiguousarray(picture).data, 0)
-        try:
+        with suppress(BrokenPipeError):  # `result` says so
             self._process.stdin.write(json.dumps([*picture.shape[:2], str(path)]).encode() + b"\n")
             self._process.stdin.flush()
-        except BrokenPipeError:
-            pass  # `result` says so
 
     def done(self):
         return bool(select.select([self._process.stdout], [], [], 0)[0])

@@ -24,7 +24,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.splatting.level_kernels import LEAST, find_cells, merge_colors, merge_shapes
+from rainsim.splatting.level_kernels import (
+    LEAST,
+    find_cells,
+    merge_colors,
+    merge_shapes,
+    minors_of,
+)
 from rainsim.splatting.prepared import (
     GEOMETRY,
     LANES,
@@ -204,9 +210,8 @@ def measured(parts, size):
     groups = -(-len(parts) // size)
     with np.errstate(all="ignore"):  # absurd splats
         opacity = np.exp2(parts[:, OPACITY])
-        xx, xy, xz, yy, yz, zz = parts[:, 3:9].swapaxes(0, 1)
-        minors = xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
-        weight = np.fmax(opacity * np.sqrt(np.fmax(minors, 0)), LEAST)
+        area = np.sqrt(np.fmax(minors_of(*parts[:, 3:9].swapaxes(0, 1)), 0))
+        weight = np.fmax(opacity * area, LEAST)
     there = (opacity > 0) & np.isfinite(parts[:, :3]).all(axis=1)
     place = np.full((groups * size, 3, LANES), np.inf, np.float32)
     np.copyto(place[: len(parts)], parts[:, :3], where=there[:, None])

@@ -24,10 +24,15 @@ TINY = 1e-150  # its square is still a number
 
 
 @inlined_function
+def minors_of(xx, xy, xz, yy, yz, zz):
+    """Return the sum of the principal minors of order two of a covariance; arrays are fine, too."""
+    return xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
+
+
+@inlined_function
 def area_of(xx, xy, xz, yy, yz, zz):
     """Return a measure of a splat's mean shadow over all directions, from its covariance."""
-    minors = xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
-    return math.sqrt(max(minors, 0.0))
+    return math.sqrt(max(minors_of(xx, xy, xz, yy, yz, zz), 0.0))
 
 
 @cpu_kernel
@@ -102,7 +107,7 @@ def cell_key(g, i, side):
     # The least variance is that along the normal; trace and minors tell the other two.
     least = n0 * (xx * n0 + xy * n1 + xz * n2) + n1 * (xy * n0 + yy * n1 + yz * n2)
     least = max(least + n2 * (xz * n0 + yz * n1 + zz * n2), ZERO)
-    minors = xx * yy - xy * xy + yy * zz - yz * yz + xx * zz - xz * xz
+    minors = minors_of(xx, xy, xz, yy, yz, zz)
     half = 0.5 * (spread - least)
     middle = half - math.sqrt(max(half * half - (minors - 2 * least * half), 0.0))
     facing = np.int64(0)

@@ -15,8 +15,7 @@ TEXTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
 # What marks a function that numba compiles, on either backend.
 KERNELS = {
-    "cpu_kernel", "serial_kernel", "cuda_kernel", "fast_kernel", "tight_kernel",
-    "cuda.jit",
+    "cpu_kernel", "serial_kernel", "cuda_kernel", "fast_kernel", "tight_kernel", "cuda.jit",
 }  # fmt: skip
 FORMULAS = {
     "device_function", "lean_function", "inlined_function", "called_function", "cuda_device",

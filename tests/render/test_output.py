@@ -272,7 +272,9 @@ def test_what_a_process_cannot_write_is_an_error_of_the_run(begin):
 
 def test_a_process_that_is_killed_ends_the_run_in_one_line(begin):
     sequence = begin(apart=True)
-    for process in sequence.film._writer._encoders._processes:
+    processes = sequence.film._writer._encoders._processes
+    assert len(processes) == 3  # as there are frames, at most
+    for process in processes:
         process._process.kill()
     with pytest.raises(RainsimError, match=r"ended with status -9; .* go on with --resume"):
         draw(sequence, 0)
