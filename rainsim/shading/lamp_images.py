@@ -19,7 +19,7 @@ from rainsim.jit import cpu_kernel, inlined_function, prange
 from rainsim.scene.view import View
 from rainsim.shading.fresnel import reflectance
 from rainsim.shading.ground_slopes import GroundSlopes, block_ray, ground_met
-from rainsim.shading.lamp_search import BRIGHT, lamps_in
+from rainsim.shading.lamp_search import BRIGHT, brightest_of, lamps_in
 from rainsim.shading.microfacet import LEAST_DIP, LEAST_RISE, shadowing
 
 FINE_RESOLUTION = 320.0  # px per unit of tangent of the picture that shows how large lamps are
@@ -69,8 +69,10 @@ def scaled(camera, resolution):
 
 def without_lamps(picture):
     """Return a picture whose colours are no brighter than BRIGHT; their hue stays."""
-    brightest = np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
-    return picture * (np.float32(BRIGHT) / np.maximum(brightest, np.float32(BRIGHT)))[..., None]
+    brightest, result = brightest_of(picture), picture.copy()
+    bright = brightest > BRIGHT
+    result[bright] *= (np.float32(BRIGHT) / brightest[bright])[:, None]
+    return result
 
 
 @cpu_kernel

@@ -13,8 +13,8 @@ from rainsim.scene.view import slopes
 BRIGHT = 3.0  # radiance from which on light is a lamp's, in units of the capture's white
 TILE = 8  # px
 NUMBERS = 8  # of a lamp, see `lamp_images.LampView`
-_TOUCH = np.zeros((3, 3, 3, 3), bool)  # of rows and columns of squares, and of pixels within one
-_TOUCH[1, 1] = True
+_TOUCH = np.zeros((3, 3, 3), bool)  # of squares, and of rows and columns of pixels within one
+_TOUCH[1] = True
 
 
 def lamps_in(picture, depth, camera):
@@ -28,13 +28,14 @@ def lamps_in(picture, depth, camera):
     horizon, nothing = round(camera.cy), (np.empty((0, NUMBERS), np.float32), 0.0)
     if not picture[horizon:].max(initial=0.0) > BRIGHT:
         return nothing
-    bright = (picture.max(axis=2) > BRIGHT) & np.isfinite(depth)
+    bright = (brightest_of(picture) > BRIGHT) & np.isfinite(depth)
     bright[:horizon] = False
     if not bright.any():
         return nothing
     padded = np.pad(bright, [(0, -n % TILE) for n in bright.shape])
     squares = padded.reshape(len(padded) // TILE, TILE, -1, TILE).swapaxes(1, 2)
-    label, count = ndimage.label(squares, _TOUCH)
+    some, label = squares.any(axis=(2, 3)), np.zeros(squares.shape, np.int64)
+    label[some], count = ndimage.label(squares[some], _TOUCH)
     row, column = np.nonzero(bright)
     part = label[row // TILE, column // TILE, row % TILE, column % TILE]
     color, far = picture[row, column].astype(np.float64), depth[row, column].astype(np.float64)
@@ -57,6 +58,11 @@ def lamps_in(picture, depth, camera):
     lamps = np.hstack([middle, summed(flux), summed(light[:, None] * spread) / total])
     share = (above * color.sum(axis=1)).sum() / picture[horizon:].sum(dtype=np.float64)
     return lamps.astype(np.float32), float(share)
+
+
+def brightest_of(picture):
+    """Return the brightest channel of each pixel of a picture (rows, columns, 3)."""
+    return np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
 
 
 def may_shine(splats):

@@ -175,8 +175,8 @@ class LevelView:
             if camera is not level:  # finer, to see how large they are
                 view, pictures = self._fine_camera, _pictures(camera.height, camera.width)
             self._grade(scene, camera, view, pictures)
-            picture, depth, _ = (
-                array.copy_to_host()[: camera.height, : camera.width] for array in pictures
+            picture, depth = (
+                array.copy_to_host()[: camera.height, : camera.width] for array in pictures[:2]
             )
             return WetPicture(picture, depth, None, scene.view_of(camera), picture)
 
