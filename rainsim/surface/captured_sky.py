@@ -45,6 +45,7 @@ SAME_EXPOSURE = 0.2  # share of the texels that a camera sees, that one exposure
 GAP, CLEAR = 400, 0.05
 RIM = 3  # px beside the sky, that show either
 CLOUD = 0.5  # share of the pixels just below a cloud that are sky
+PARTLY, COVERED = 0.15, 0.75  # the same behind a roof, and of those just above; of walls 0 to .07
 
 
 class SkyColors:
@@ -335,19 +336,22 @@ def _exposures(count, camera, texel, seen, color, several):
 def _clouds(cloud, sky, high):
     """Return which regions of bright pixels are clouds: below them is sky again, mostly.
 
-    A gable before the sky has land below it. `high` is the sine of the elevation.
+    Or in part where a roof hides the rest, and above them. A gable before the sky has land below
+    it. `high` is the sine of the elevation.
     """
     label, count = ndimage.label(cloud)
     down = np.array([np.median(np.diff(high, axis=axis)) for axis in (0, 1)])
     axis = np.argmax(np.abs(down))
+
+    def open_share(step):  # of the pixels next to each region, a step along the axis
+        edge = np.roll(label, -step, axis) != label
+        edge.swapaxes(0, axis)[-1 if step > 0 else 0] = False  # what the picture cuts off
+        open_ = np.bincount(label[edge & np.roll(sky, -step, axis)], minlength=count + 1)
+        return open_ / np.maximum(np.bincount(label[edge], minlength=count + 1), 1)
+
     step = -int(np.sign(down[axis])) or 1  # to the next pixel below
-    below = np.roll(label, -step, axis) != label
-    edge = [slice(None)] * 2
-    edge[axis] = slice(-1, None) if step > 0 else slice(0, 1)
-    below[tuple(edge)] = False  # what the picture cuts off
-    lower = np.bincount(label[below], minlength=count + 1)
-    open_ = np.bincount(label[below & np.roll(sky, -step, axis)], minlength=count + 1)
-    good = open_ > CLOUD * lower
+    below, above = open_share(step), open_share(-step)
+    good = (below > CLOUD) | ((below > PARTLY) & (above > COVERED))
     good[0] = False
     return good[label]
 

@@ -142,6 +142,9 @@ def test_one_sky_is_found_in_pictures_of_different_exposure():
 def test_regions_of_a_picture_are_judged_whole():
     light = blue_over_wall()
     light[8:14, 20:40] = 0.9  # a cloud
+    light[6:12, 2:16] = light[16:22, 22:36] = 0.9  # two more, and the roofs that hide them below
+    light[10:14, 2:13] = light[20:24, 22:33] = 0.15
+    light[14:32, 5:9] = light[24:32, 26:30] = 0.15
     light[15:32, 55:70] = 0.9  # a gable, on the wall
     light[40:46, 20:26] = np.float32(0.8) * light[0, 0]  # a pane, which mirrors the sky
     light[40:46, 40:46] = light[0, 0]  # a gap
@@ -149,6 +152,7 @@ def test_regions_of_a_picture_are_judged_whole():
     pictures = [view_of(light, 0.45), *others]
     part = captured_sky.SkyColors(pictures).parts(pictures)[0][0]
     assert (part[9:13, 22:38] == 1).all() and (part[19:31, 59:66] == -1).all()
+    assert (part[7:9, 3:15] == 1).all() and (part[17:19, 23:35] == 1).all()
     assert (part[41:45, 21:25] == 0).all() and (part[42:44, 42:44] == 1).all()
 
 
