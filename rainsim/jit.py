@@ -32,9 +32,10 @@ callees.watch()
 KERNELS = {}
 
 
-# Kernels alone call device functions: an entry from Python and one from C for each of them took 8 %
-# of the time of compiling.
-_WITHOUT_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# Nothing calls kernels by an entry from C, and kernels alone call device functions: an entry from
+# Python and one from C for each of these took 8 % of the time of compiling.
+_NO_C = {"no_cfunc_wrapper": True}
+_WITHOUT_WRAPPERS = {"no_cpython_wrapper": True, **_NO_C}
 
 
 def device_function(function=None, **options):
@@ -57,7 +58,7 @@ called_function = device_function(forceinline=False, _nrt=False)
 
 def _kernel(in_threads=False, **options):
     by_parts = in_threads and callees.IS_TESTED
-    options = {"nogil": True, "error_model": "numpy", "fastmath": _FAST, **options}
+    options = {"nogil": True, "error_model": "numpy", "fastmath": _FAST, **_NO_C, **options}
     options |= {"parallel": True} if in_threads and not by_parts else {}
     shown = {**options, "fastmath": sorted(_FAST), "by_parts": by_parts}
 

@@ -10,7 +10,8 @@ No kernel runs slower for it.
 
 numba compiles a function once more for each set of its callers' flags. Here it does so for flags
 that a function takes over from its callers alone, and does not set itself. That saves a tenth of
-the time.
+the time. What an operator makes of numbers it looks up once, and which variables live where a block
+of code begins never: another tenth.
 
 numba has no setting for this, so it is tied to the releases that it was tested with; with others
 kernels are compiled as numba does it.
@@ -20,10 +21,15 @@ import functools
 import gc
 
 import numba
+from llvmlite.binding import ffi
 from numba.core import event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.environment import lookup_environment
+from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.targetconfig import ConfigStack
+from numba.core.transforms import canonicalize_cfg
+from numba.core.types import Boolean, Number
+from numba.core.types.functions import BaseFunction
 from numba.core.typing.templates import _OverloadFunctionTemplate
 
 from rainsim.compiling.kernel_cache import KernelCache
@@ -81,6 +87,38 @@ def _implementation(template, args, kws):
     return template._impl_cache[key]
 
 
+def _call_type(function, context, args, kws):
+    """Return what numba's `get_call_type` does, of an operator of numbers from the first time."""
+    of_numbers = all(isinstance(given, (Number, Boolean)) for given in args)
+    if not of_numbers or getattr(function.typing_key, "__module__", None) != "_operator":
+        return _NUMBAS[BaseFunction](function, context, args, kws)
+    found, key = function.__dict__.setdefault("call_types", {}), (context, *args)
+    if key not in found:
+        found[key] = _NUMBAS[BaseFunction](function, context, args, kws)
+    return found[key]
+
+
+def _find_lifetimes(processor, emit_dels=False, extend_lifetimes=False):
+    """Do what numba's `run` does, but for what generators and Python objects alone need."""
+    code = processor.func_ir
+    if code.is_generator:
+        _NUMBAS[PostProcessor](processor, emit_dels, extend_lifetimes)
+        return
+    code.blocks = canonicalize_cfg(code.blocks)
+    code.variable_lifetime, code.generator_info = VariableLifetime(code.blocks), None
+    if emit_dels:
+        processor._insert_var_dels(extend_lifetimes)
+
+
+# Methods of numba, and ours in their place.
+_OURS = {
+    _OverloadFunctionTemplate: ("_get_impl", _implementation),
+    BaseFunction: ("get_call_type", _call_type),
+    PostProcessor: ("run", _find_lifetimes),
+}
+_NUMBAS = {owner: getattr(owner, name) for owner, (name, _) in _OURS.items()}
+
+
 class _Compiling(event.Listener):
     """Puts our code library in numba's place while a kernel is being compiled."""
 
@@ -102,9 +140,10 @@ class _Compiling(event.Listener):
             codegen = kernel.targetctx.codegen()
             codegen._library_class = _Library
             codegen.set_env = functools.partial(_set_environment, codegen)
-            self._numbas, _OverloadFunctionTemplate._get_impl = (
-                _OverloadFunctionTemplate._get_impl, _implementation,
-            )  # fmt: skip
+            # numba makes an event of each call of LLVM.
+            self._told, ffi.lib._lock._cblist = ffi.lib._lock._cblist, []
+            for owner, (name, ours) in _OURS.items():
+                setattr(owner, name, ours)
 
     def on_end(self, event):
         """Undo the setting up by `on_start` if the event is of a kernel."""
@@ -119,7 +158,9 @@ class _Compiling(event.Listener):
         if IS_TESTED:
             codegen = kernel.targetctx.codegen()
             del codegen._library_class, codegen.set_env
-            _OverloadFunctionTemplate._get_impl = self._numbas
+            ffi.lib._lock._cblist = self._told
+            for owner, (name, _) in _OURS.items():
+                setattr(owner, name, _NUMBAS[owner])
 
 
 def watch():

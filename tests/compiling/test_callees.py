@@ -97,3 +97,32 @@ def test_with_another_numba_kernels_are_compiled_as_it_does(monkeypatch, poisone
     _made(serial_kernel)[0](X, found)
     np.testing.assert_allclose(found, 2 * EXPECTED, rtol=1e-6)
     assert _with_code() > before
+
+
+def test_operators_make_of_numbers_what_they_make_with_numbas_own_methods(poisoned, tmp_path):
+    before = [getattr(owner, name) for owner, (name, _) in callees._OURS.items()]
+
+    @serial_kernel
+    def mixed(small, whole, wide, found_out):
+        found_out[0] = small + whole
+        found_out[1] = small * wide
+        found_out[2] = whole / np.int32(4) + (whole > 3) + (whole // 2) % 2
+        found_out[3] = np.float32(1) / np.float32(3) + small
+        for k in range(4):
+            if found_out[k] > 3 and not whole == k:
+                found_out[4] = -(found_out[k] ** 2)
+
+    mixed._cache = KernelCache(mixed.py_func, tmp_path, "")
+    plain = numba.njit(mixed.py_func)
+    given = np.float32(0.1), 7, np.float64(0.3)
+    found, expected = poisoned(5, dtype=np.float64), poisoned(5, dtype=np.float64)
+    mixed(*given, found)
+    assert before == [getattr(owner, name) for owner, (name, _) in callees._OURS.items()]
+    plain(*given, expected)
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
+    types = [
+        {str(call.args): str(call.return_type) for call in f.overloads[f.signatures[0]]
+         .type_annotation.calltypes.values() if call is not None}
+        for f in (mixed, plain)
+    ]  # fmt: skip
+    assert types[0] == types[1] and len(types[0]) > 5
