@@ -30,9 +30,14 @@ def level_share(scene, terrain, reach, lawn, bodies):
     lawn : float32 array (ny, nx). Share of grass, which has no gloss to lose.
     bodies : uint8 array (ny, nx, 3). See `bodies.body_map`.
     """
-    cells = level_cells(terrain, reach, lawn)
-    level = share_of_level(scene.splats, scene.ground_frame, terrain, cells)
-    return np.maximum(level, share_of_bodies(scene.splats, scene.ground_frame, terrain, bodies))
+    cells, share = level_cells(terrain, reach, lawn), np.empty(len(scene.splats), np.float32)
+
+    def work(part):
+        some = scene.splats.take(part), scene.ground_frame, terrain
+        share[part] = np.maximum(share_of_level(*some, cells), share_of_bodies(*some, bodies))
+
+    in_blocks(work, len(share))
+    return share
 
 
 def share_of_bodies(splats, frame, terrain, bodies):

@@ -26,8 +26,6 @@ def lamps_in(picture, depth, camera):
     camera : Camera. As `level_camera` returns it.
     """
     horizon, nothing = round(camera.cy), (np.empty((0, NUMBERS), np.float32), 0.0)
-    if not picture[horizon:].max(initial=0.0) > BRIGHT:
-        return nothing
     bright = (brightest_of(picture) > BRIGHT) & np.isfinite(depth)
     bright[:horizon] = False
     if not bright.any():
