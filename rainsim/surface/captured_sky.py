@@ -336,7 +336,7 @@ def _exposures(count, camera, texel, seen, color, several):
 def _clouds(cloud, sky, high):
     """Return which regions of bright pixels are clouds: below them is sky again, mostly.
 
-    Or in part where a roof hides the rest, and above them. A gable before the sky has land below
+    Or in part, where a roof hides their foot, and above them. A gable before the sky has land below
     it. `high` is the sine of the elevation.
     """
     label, count = ndimage.label(cloud)
