@@ -315,7 +315,7 @@ def planes(position, towards, size, plain):
     def typical(part):
         middle[part] = np.median(flat[nearest[part]], axis=1)
 
-    in_blocks(work, count, 1 << 14)
+    in_blocks(work, count, 1 << 12)
     middle = np.empty_like(flat)
     in_blocks(typical, count)
     return normal, middle, smooth

@@ -264,7 +264,7 @@ def splat_normals(scene, found, sky):
         known[least] += (1 - known[least]) * np.linalg.norm(wall, axis=1)
         normal[which], share[which] = _unit(mean), known
 
-    in_blocks(work, len(good), 1 << 14)
+    in_blocks(work, len(good), 1 << 12)
     normal[sky], share[sky] = (0, 0, -1), 1
     return np.ascontiguousarray(normal @ frame.rotation.astype(np.float32)), share
 
