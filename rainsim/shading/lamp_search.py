@@ -26,8 +26,9 @@ def lamps_in(picture, depth, camera):
     camera : Camera. As `level_camera` returns it.
     """
     horizon, nothing = round(camera.cy), (np.empty((0, NUMBERS), np.float32), 0.0)
-    bright = (brightest_of(picture) > BRIGHT) & np.isfinite(depth)
-    bright[:horizon] = False
+    bright, low = np.zeros(depth.shape, bool), slice(horizon, None)
+    if picture[low].max(initial=0.0) > BRIGHT:
+        bright[low] = (brightest_of(picture[low]) > BRIGHT) & np.isfinite(depth[low])
     if not bright.any():
         return nothing
     padded = np.pad(bright, [(0, -n % TILE) for n in bright.shape])

@@ -203,7 +203,7 @@ def test_the_list_of_keyframes_is_edited_and_played(server, open_page, root):
     page.press("look from this keyframe")
     page.wait_until(lambda: page.differs(before))
     page.press("play along the path")
-    page.wait_until(lambda: any(page.says(f"t = {t}") for t in range(1, 10)))
+    page.wait_until(lambda: re.search(r"t = [1-9]\d?\.", page.page.inner_text("body")))
     page.press("stop")
     page.wait_until(lambda: page.says("play along the path"))
     page.tick("path with a video")
