@@ -28,25 +28,17 @@ def capability():
     found = ctypes.c_int(), ctypes.c_int(), ctypes.c_int()
     device, *parts = found
     try:
-        driver = _driver()
-        faults = [driver.cuInit(0), driver.cuDeviceGet(ctypes.byref(device), 0)]
+        cuda = driver()
+        faults = [cuda.cuInit(0), cuda.cuDeviceGet(ctypes.byref(device), 0)]
         for part, attribute in zip(parts, (_MAJOR, _MINOR), strict=True):
-            faults.append(driver.cuDeviceGetAttribute(ctypes.byref(part), attribute, device))
+            faults.append(cuda.cuDeviceGetAttribute(ctypes.byref(part), attribute, device))
     except (OSError, AttributeError):
         return None
     return None if any(faults) else ".".join(str(part.value) for part in parts)
 
 
-def has_driver():
-    """Return whether NVIDIA's driver is here, without which cuda-cccl compiles nothing."""
-    try:
-        _driver()
-    except OSError:
-        return False
-    return True
-
-
-def _driver():
+def driver():
+    """Return NVIDIA's driver; OSError without."""
     return ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
 
 

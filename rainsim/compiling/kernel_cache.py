@@ -2,13 +2,15 @@
 
 numba keys its own cache on the file that holds a kernel, not on the functions that the kernel
 calls: an edited helper would keep its old machine code. Here the name of a kernel's files carries
-`source_key`, which takes in all that the kernel uses and the versions of what compiles it.
+`source_key`, which takes in all that the kernel uses and what compiles it: versions and our files.
 """
 
 import functools
+import hashlib
 import os
 import platform
 import sys
+from pathlib import Path
 
 import llvmlite
 import numba
@@ -26,6 +28,11 @@ VERSIONS = (
     f"numba {numba.__version__} llvmlite {llvmlite.__version__} numpy {np.__version__} "
     f"{platform.python_implementation()} {sys.version_info.major}.{sys.version_info.minor}"
 )
+# Of the files that decide what numba makes of a kernel.
+_REWRITERS = [
+    hashlib.sha256(Path(__file__).with_name(name).read_bytes()).hexdigest()
+    for name in ("callees.py", "parts.py")
+]
 
 
 class KeptKernel:
@@ -49,7 +56,7 @@ class KeptKernel:
     @functools.cached_property
     def key(self):
         """The hash of the sources, versions and options that the machine code is compiled from."""
-        return source_key(self._py_func, f"{VERSIONS} {self._options}")
+        return source_key(self._py_func, f"{VERSIONS} {_REWRITERS} {self._options}")
 
     @functools.cached_property
     def _impl(self):

@@ -64,6 +64,9 @@ def test_an_edited_helper_recompiles_its_users_alone(root, tmp_path):
     text = (package / "first.py").read_text()
     (package / "first.py").write_text(f'"""A comment."""\n{text}\ndef other():\n    return 3\n')
     assert run() == ["2", "1", "0", "0"]
+    with (package / "compiling" / "parts.py").open("a") as file:  # it rewrites every kernel
+        file.write("# edited\n")
+    assert run() == ["2", "1", "1", "1"]
 
 
 LOOPS = """from rainsim.jit import serial_kernel
