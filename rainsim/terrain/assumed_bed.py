@@ -7,7 +7,6 @@ ground, about how high, and of which colour. Its unevenness is assumed to be tha
 
 import numpy as np
 from scipy import ndimage
-from skimage.morphology import reconstruction
 
 from rainsim import raster
 from rainsim.numerics.blocks import beside, of_each
@@ -268,6 +267,8 @@ def smooth_level(followed, grid):
 
     It has no hollows: those of dry ground are a puddle's, and nobody knows them to the centimetre.
     """
+    from skimage.morphology import reconstruction  # .1 s, and few captures are from the air
+
     height, coarse = _sampled(followed, grid)
     height = ndimage.gaussian_filter(height, SMOOTH / CELL)
     rim = np.pad(np.full(np.array(height.shape) - 2, height.max()), 1, constant_values=-np.inf)
