@@ -49,7 +49,7 @@ MARCHES = {
 }  # fmt: skip
 LEVELS = {
     "auto": ("auto", {}),
-    "auto, full-size mirrors": ("auto", {"mirror_size": "full"}),
+    "auto, half-size mirrors": ("auto", {"mirror_size": "half"}),
     "mirror": ("mirror", {}),
     **MARCHES,
     "paper": ("paper", {}),
