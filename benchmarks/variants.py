@@ -31,16 +31,21 @@ def variant(**changes):
     unknown = [name for name in changes if not any(hasattr(m, name) for m in _MODULES)]
     if unknown:
         raise KeyError(f"the rasterizer has no {', '.join(unknown)}")
-    digest, replaced = _digest(changes), dict(changes)
+    digest, replaced, copies = _digest(changes), dict(changes), {}
     done = sys.modules.get(_name(_PACKAGE, digest))
     if done:
         return done
     for original in _MODULES:
         own = {name: value for name, value in replaced.items() if hasattr(original, name)}
+        own |= {
+            name: copies[value]
+            for name, value in vars(original).items()
+            if isinstance(value, ModuleType) and value in copies
+        }
         if not own:
             continue  # this module is shared by all variants
         path = Path(original.__file__)
-        copy = ModuleType(_name(original, digest))
+        copy = copies[original] = ModuleType(_name(original, digest))
         copy.__file__ = original.__file__
         sys.modules[copy.__name__] = copy  # numba looks up the module of a cached kernel here
         exec(compile(path.read_text(encoding="utf-8"), path, "exec"), vars(copy))

@@ -62,6 +62,17 @@ def test_a_variant_has_its_own_constants_and_leaves_the_product_alone():
         variant(NO_SUCH_NAME=1)
 
 
+def test_every_choice_reaches_the_modules_that_its_rasterizer_calls():
+    choices = [choice for group in splat_choices.all_choices().values() for choice in group]
+    assert sum(bool(choice.changes) for choice in choices) > 10
+    for choice in choices:
+        copy = variant(**choice.changes)
+        assert (copy is raster) == (not choice.changes) and copy.Rasterizer
+        for name, value in choice.changes.items():
+            if hasattr(raster.project, name):
+                assert getattr(copy.project, name) is value
+
+
 @pytest.mark.slow
 def test_harmonics_in_sixteen_bits_are_nearly_those_in_thirty_two():
     splats, cam = fog(), camera()
