@@ -20,6 +20,7 @@ from rainsim import raster
 from rainsim.jit import set_threads
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.library import load_scene
+from rainsim.splatting import project
 
 SCENE = "bicycle"
 WIDTH = {False: 648, True: 96}  # px
@@ -29,10 +30,11 @@ SOLID = 0.5  # alpha above which depth is compared
 CHARTED = 6  # groups
 PEERS_IN = "stop"  # the group beside which other programs stand in the chart
 LEAST_DECIBEL = 90.0  # that a default has to reach against float64
-# Kernels of a picture by stage.
+# Kernels of a picture by stage: the module in which the rasterizer looks them up, and their names.
 STAGES = {
-    "cull": "find_chunks", "project": "project_chunks", "places": "tile_starts",
-    "list": "list_tiles", "sort and blend": "blend_tiles",
+    "cull": (project, "find_chunks"), "project": (project, "project_chunks"),
+    "places": (raster, "tile_starts"), "list": (raster, "list_tiles"),
+    "sort and blend": (raster, "blend_tiles"),
 }  # fmt: skip
 
 
@@ -97,10 +99,8 @@ def measure(choices, splats, prepared, camera, truth, rounds):
 def time_stages(prepared, camera, rounds):
     """Return wall times of the stages on one thread and on all, in turns, median milliseconds."""
     threads, times = sorted({1, set_threads(None)}), {}
-    drawer, kernels = (
-        raster.Rasterizer(prepared),
-        {s: getattr(raster, k) for s, k in STAGES.items()},
-    )
+    drawer = raster.Rasterizer(prepared)
+    kernels = {stage: getattr(*place) for stage, place in STAGES.items()}
 
     def timed(stage):
         def call(*arguments):
@@ -112,8 +112,8 @@ def time_stages(prepared, camera, rounds):
         return call
 
     try:
-        for stage, name in STAGES.items():
-            setattr(raster, name, timed(stage))
+        for stage, place in STAGES.items():
+            setattr(*place, timed(stage))
         for _ in range(rounds + 1):
             for count in threads:
                 set_threads(count)
@@ -122,8 +122,8 @@ def time_stages(prepared, camera, rounds):
                 times.setdefault((count, "all"), []).append(time.perf_counter() - begin)
     finally:
         set_threads(threads[-1])
-        for stage, name in STAGES.items():
-            setattr(raster, name, kernels[stage])
+        for stage, place in STAGES.items():
+            setattr(*place, kernels[stage])
     return [
         {"threads": count, "stage": stage, "least_ms": min(found[1:]) * 1e3,
          "median_ms": float(np.median(found[1:]) * 1e3)}

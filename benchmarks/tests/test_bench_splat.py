@@ -7,7 +7,7 @@ import pytest
 
 import factories
 import naive
-from benchmarks import splat, splat_choices
+from benchmarks import splat, splat_choices, suite
 from benchmarks.splat_truth import draw_truth
 from benchmarks.variants import variant
 from rainsim import raster
@@ -110,7 +110,7 @@ def test_a_quick_run_measures_every_choice(monkeypatch, tmp_path):
         del groups[name]  # the same, but minutes of compiling
     monkeypatch.setattr(splat, "all_choices", lambda: groups)
     monkeypatch.setattr(splat, "load_scene", lambda name: scene)
-    monkeypatch.setattr(splat, "list_scenes", list)
+    monkeypatch.setattr(suite, "list_scenes", list)
     monkeypatch.setitem(splat.WIDTH, True, 48)
     told = []
     result = splat.run(quick=True, say=told.append)

@@ -95,7 +95,7 @@ def _fitted(axes, eyes, reach, first, walls):
     # A street's fall is one for all cameras: where walls tell, their path counts as one.
     once = np.sqrt(len(eyes)) if len(walls) else 1.0
     for _ in range(ROUNDS):
-        away = eyes - weighted_median(eyes, weight)
+        away = eyes - np.average(eyes, axis=0, weights=weight)
         usual = max(float(np.median(np.linalg.norm(away, axis=1))), 1e-12)
         away *= (usual > LEAST_PATH * reach) / usual
         rows = np.concatenate([hand / roll, away / (climb * once)])
@@ -107,7 +107,7 @@ def _fitted(axes, eyes, reach, first, walls):
         roll = max(ROLL, DEVIATION * float(np.median(np.abs(hand @ up))))
         climb = max(CLIMB, DEVIATION * float(np.median(np.abs(away @ up))))
         off = np.hypot(hand @ up / roll, away @ up / climb)
-        weight = 1 / (1 + (off / (2 * max(np.median(off), 0.5))) ** 2) ** 2
+        weight = 1 / (1 + (off / (2 * max(np.median(off), 1.0))) ** 2) ** 2
         weight /= weight.max()
     told -= np.eye(2) * (max(weight.sum(), 1) - 1) / PITCH**2  # all views lean alike
     return Level(up, 1 / np.sqrt(max(np.linalg.eigvalsh(told)[0], 1.0)), weight)

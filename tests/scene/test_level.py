@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from made_captures import patio, ring, splats_at
 from rainsim.errors import GroundError
 from rainsim.scene.cameras import look_at
 from rainsim.scene.ground import estimate_ground_frame, require_known_scale
 from rainsim.scene.ground_search import FROM_THE_AIR
-from rainsim.scene.level import FEWEST, GroundBelow, level_of
+from rainsim.scene.level import FEWEST, MISPLACED, GroundBelow, level_of
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -66,6 +67,19 @@ def test_pictures_taken_with_the_camera_on_its_side(sideways):
     # All on their side, around something, have no up in common: that is for the splats to tell.
     level = level_of(cameras, 3.0)
     assert level is None if len(sideways) == 20 else degrees_off(level.up) < 0.5
+
+
+def test_a_ring_at_uneven_heights_is_level_in_any_frame_and_none_of_it_is_misplaced():
+    for seed in range(40):
+        rng, turn = np.random.default_rng(seed), Rotation.random(rng=seed).as_matrix()
+        angle, away = np.linspace(0, 2 * np.pi, 24, endpoint=False), rng.uniform(4.6, 6.2, 24)
+        height = 1.8 + rng.uniform(-0.3, 0.3, 24)
+        height[5] += 8 * (seed % 2)
+        eyes = np.stack([away * np.cos(angle), away * np.sin(angle), height], 1) @ turn.T
+        cameras = [look_at(eye, turn @ (0, 0, 0.2), turn @ UP, 60, 64, 48) for eye in eyes]
+        level = level_of(cameras, 6.0)
+        assert degrees_off(turn.T @ level.up) < 1.5
+        assert np.flatnonzero(level.weight < MISPLACED).tolist() == [5] * (seed % 2)
 
 
 def test_cameras_on_a_tripod_are_level_by_their_hands_alone():
