@@ -16,12 +16,13 @@ from importlib.util import find_spec
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.suite import intrinsics
 from rainsim.constants import SH_0
 from rainsim.datasets.reading import read_points, read_views, stored_card
 from rainsim.errors import ParameterError
 from rainsim.io.files import write_json
 from rainsim.io.images import write_png
-from rainsim.scene.view import image_point, intrinsics
+from rainsim.scene.view import image_point
 
 try:
     import torch

@@ -17,11 +17,10 @@ import numpy as np
 
 from benchmarks import frame_levels
 from benchmarks.growth import halved
-from benchmarks.suite import markdown, quiet
+from benchmarks.suite import intrinsics, markdown, quiet
 from rainsim import pipeline, raster
 from rainsim.config.settings import Config
 from rainsim.scene.cameras import resize_to
-from rainsim.scene.view import intrinsics
 
 NEAR = 0.01  # capture units
 SIZES = {False: (0, 3), True: (0,)}  # how many times each splat is halved

@@ -34,6 +34,11 @@ def scene_names(quick, of=SCENES):
     return (*of, *(name for name, _, _ in list_scenes() if name == CAPTURE))
 
 
+def intrinsics(camera):
+    """Return the matrix of the lens as three rows: camera frame to homogeneous image points."""
+    return [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]
+
+
 def machine(**more):
     """Return what times depend on, and `more`, as a dict."""
     return {

@@ -23,7 +23,7 @@ ROLL, PITCH, CLIMB = np.radians((3.0, 15.0, 1.5))
 WALL = np.radians(0.7)  # of a wall from upright; the walls of four captures have .3 to .9 degree
 DEVIATION = 1.4826  # standard deviation over the median of the absolute values
 ROUNDS = 20  # of the fit
-MISPLACED = 0.05  # weight below which a camera counts as misplaced
+MISPLACED = 0.02  # weight below which a camera counts as misplaced
 AGREE, AGREE_DOWN = 0.3, 0.9  # length of the mean of unit vectors: image-up; views down
 LEAST_PATH = 0.05  # of the distance to the splats: cameras that moved less stand on a tripod
 # Heights of the cameras are the unit of the search for the ground below them: how far about the
@@ -33,7 +33,7 @@ CHANCE = LAYER / DEPTH  # share of a cell's splats that lie in the layer by chan
 SPREAD = 0.35  # standard deviation of that share, of cells with one splat
 LOWEST, HIGHEST, STEP = 0.02, 0.4, 1.05  # heights tried, of the path's extent; their ratio
 LIKELY = 2.0  # times more or less than the height above a plane of splats, that are tried
-CLEARLY = 1.15  # times the support of ground that follows the path, for it to be level instead
+CLEARLY = 1.1  # times the support of ground that follows the path, for it to be level instead
 SURE, FULL_SIGMAS = 4.0, 16.0  # deviations above chance: ground is there; of full confidence
 
 
@@ -90,12 +90,14 @@ def _fitted(axes, eyes, reach, first, walls):
     # Of a picture that was taken with the camera on its side the other axis is level.
     sideways = np.abs(axes[:, 0] @ first) > np.abs(axes[:, 1] @ first)
     hand = np.where(sideways[:, None], axes[:, 1], axes[:, 0])
-    weight, up, roll, climb = np.ones(len(eyes)), first, ROLL, CLIMB
+    # The hands alone begin: a path that climbs for a part would tilt the first fit.
+    weight, up, roll, climb = np.ones(len(eyes)), first, ROLL, np.inf
     across = np.linalg.svd(first[None])[2][1:].T  # (3, 2), of small turns
     # A street's fall is one for all cameras: where walls tell, their path counts as one.
     once = np.sqrt(len(eyes)) if len(walls) else 1.0
     for _ in range(ROUNDS):
-        away = eyes - np.average(eyes, axis=0, weights=weight)
+        frame = np.linalg.svd(up[None])[2]
+        away = eyes - weighted_median(eyes @ frame.T, weight) @ frame
         usual = max(float(np.median(np.linalg.norm(away, axis=1))), 1e-12)
         away *= (usual > LEAST_PATH * reach) / usual
         rows = np.concatenate([hand / roll, away / (climb * once)])
@@ -107,7 +109,7 @@ def _fitted(axes, eyes, reach, first, walls):
         roll = max(ROLL, DEVIATION * float(np.median(np.abs(hand @ up))))
         climb = max(CLIMB, DEVIATION * float(np.median(np.abs(away @ up))))
         off = np.hypot(hand @ up / roll, away @ up / climb)
-        weight = 1 / (1 + (off / (2 * max(np.median(off), 1.0))) ** 2) ** 2
+        weight = 1 / (1 + (off / (2 * max(np.median(off), 0.75))) ** 2) ** 2
         weight /= weight.max()
     told -= np.eye(2) * (max(weight.sum(), 1) - 1) / PITCH**2  # all views lean alike
     return Level(up, 1 / np.sqrt(max(np.linalg.eigvalsh(told)[0], 1.0)), weight)

@@ -53,11 +53,6 @@ def lens_array(camera):
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
 
 
-def intrinsics(camera):
-    """Return the matrix of the lens as three rows: camera frame to homogeneous image points."""
-    return [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]
-
-
 def finest(camera):
     """Return the pixels per unit of slope, along the axis on which they are more."""
     return max(camera.fx, camera.fy)
