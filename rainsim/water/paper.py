@@ -31,7 +31,7 @@ Mueller 2010, "Real-time simulation of large bodies of water with small scale de
 import numpy as np
 
 from rainsim.constants import FOUR, ONE, QUARTER, TWO, ZERO
-from rainsim.jit import cpu_kernel, device_function, prange
+from rainsim.jit import cpu_kernel, inlined_function, prange
 from rainsim.numerics.approximations import cube_root
 from rainsim.water.bundles import Ground, StepNumbers
 
@@ -41,7 +41,7 @@ TINY = np.float32(2.0**-60)  # m/s, keeps 0 / 0 out of still faces
 BLOCK = 16  # rows that one thread takes at a time, whatever the number of threads
 
 
-@device_function
+@inlined_function
 def sample(a, shift_x, shift_y, j, below, above, i, left, right):
     """Interpolate `a` bilinearly at (j + shift_y, i + shift_x), both shifts within one cell.
 
@@ -57,20 +57,20 @@ def sample(a, shift_x, shift_y, j, below, above, i, left, right):
     return (ONE - north - south) * row + north * row_above + south * row_below
 
 
-@device_function
+@inlined_function
 def upwind_flux(speed, h_behind, h_ahead):
     """Flux through a face [m2/s] in float64, where the product of two float32 is exact."""
     return np.float64(speed) * np.float64(h_behind if speed > ZERO else h_ahead)
 
 
-@device_function
+@inlined_function
 def split_depth(j, i, total, dry, h_out, remainder_out):
     """Store depth `total` as flowing water and a remainder too little to flow or to represent."""
     h_out[j, i] = total if total >= dry else 0.0
     remainder_out[j, i] = total - np.float64(h_out[j, i])
 
 
-@device_function
+@inlined_function
 def move_depth(h, u, v, k, dry, j, below, above, i, left, right, h_out, remainder_out):
     """Update one cell's depth with the flux through its four faces; k = dt / spacing."""
     east = upwind_flux(u[j, i + 1], h[j, i], h[j, right])
@@ -82,7 +82,7 @@ def move_depth(h, u, v, k, dry, j, below, above, i, left, right, h_out, remainde
     split_depth(j, i, total, dry, h_out, remainder_out)
 
 
-@device_function
+@inlined_function
 def carry_u(u, v, k, j, below, above, left):
     """Back-trace the face between the cells `left` and left + 1 of row j; return u at its foot."""
     i = left + 1
@@ -91,7 +91,7 @@ def carry_u(u, v, k, j, below, above, left):
     return sample(u, shift_x, shift_y, j, below, above, i, left, i + 1)
 
 
-@device_function
+@inlined_function
 def carry_v(u, v, k, j, i, left, right):
     """Back-trace the south face (j, i) and return v at its foot; j is an inner row of faces."""
     across = u[j - 1, i] + u[j, i] + u[j - 1, i + 1] + u[j, i + 1]
@@ -124,7 +124,7 @@ def flow(h, u, v, k, dry, remainder_out, h_out, u_out, v_out):
         move_depth(h, u, v, k, dry, j, below, above, nx - 1, nx - 2, nx - 1, h_out, remainder_out)
 
 
-@device_function
+@inlined_function
 def accelerated(speed, h_a, h_b, bed_a, bed_b, numbers):
     """Face velocity after pressure; zero where the face is closed.
 
@@ -144,7 +144,7 @@ def accelerated(speed, h_a, h_b, bed_a, bed_b, numbers):
     return ZERO * w if closed else min(max(w, -cap), cap)
 
 
-@device_function
+@inlined_function
 def slowed(speed, along, h_a, h_b, bed_a, bed_b, drag, dry):
     """Face velocity after Manning friction over one step, implicit in the velocity.
 
@@ -163,7 +163,7 @@ def slowed(speed, along, h_a, h_b, bed_a, bed_b, drag, dry):
     return w if speed > ZERO else -w
 
 
-@device_function
+@inlined_function
 def fastest_signal(speed, h_a, h_b, gravity):
     """Speed that the time step must follow: a wave's, or twice the flow's if that is more.
 
@@ -217,7 +217,7 @@ def accelerate_rough(
                 )
 
 
-@device_function
+@inlined_function
 def extended(speed, h_a, h_b, h_0, h_1, h_2, h_3, u_0, u_1, u_2, u_3):
     """Return `speed`, at a dry face (h_a, h_b) the mean of those neighbours u_0.. that are wet.
 
@@ -229,7 +229,7 @@ def extended(speed, h_a, h_b, h_0, h_1, h_2, h_3, u_0, u_1, u_2, u_3):
     return mean if (h_a <= ZERO) & (h_b <= ZERO) else speed
 
 
-@device_function
+@inlined_function
 def extend_u(h, u, j, below, above, left, west, east):
     """`extended` for the face between the cells `left` and left + 1 of row j.
 
@@ -244,7 +244,7 @@ def extend_u(h, u, j, below, above, left, west, east):
     )  # fmt: skip
 
 
-@device_function
+@inlined_function
 def extend_v(h, v, j, south, north, i, left, right):
     """`extended` for the south face (j, i); `south`, `north` are the rows beyond its cells."""
     return extended(

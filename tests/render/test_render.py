@@ -114,8 +114,8 @@ def test_half_mirrors_show_much_the_same_and_small_pictures_have_full_ones(scene
 
 @pytest.mark.parametrize(
     ("name", "rate", "focal", "film", "step"),
-    [("full", 50, 2000, 0, 1), ("half", 0, 50, 0, 2), ("auto", 10, 600, 0, 2),
-     ("auto", 0, 600, 0, 1), ("auto", 10, 60, 0, 1), ("auto", 10, 600, 1, 1),
+    [("full", 50, 2000, 0, 1), ("half", 0, 50, 0, 2), ("auto", 10, 400, 0, 2),
+     ("auto", 0, 600, 0, 1), ("auto", 10, 60, 0, 1), ("auto", 10, 400, 1, 1),
      ("auto", 50, 600, 1, 2)],
 )  # fmt: skip
 def test_mirrors_have_half_the_size_where_rings_blur_them(name, rate, focal, film, step):
