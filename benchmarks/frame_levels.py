@@ -21,7 +21,7 @@ LEVELS = {
     "all splats": ({"merge": 0.0}, 1.0),
     "merge 2 px": ({"merge": 2.0}, 1.0),
     "merge 8 px": ({"merge": 8.0}, 1.0),
-    "half mirrors": ({"mirror_size": "half"}, 1.0),
+    "full mirrors": ({"mirror_size": "full"}, 1.0),
     **{name: ({"reflections": name}, 1.0) for name in CHOICES["reflections"] if name != "auto"},
 }
 TRUTH = {"merge": 0.0, "streak_far": 16.0}  # and what water mirrors is traced

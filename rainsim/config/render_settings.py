@@ -152,7 +152,7 @@ class RenderConfig(Group):
         "auto", "mirror_size", "",
         "size of mirrored pictures; auto halves them where ripples blur them",
         OneOf("auto", "full", "half"), touches=(),
-        kept_for="`benchmarks look` and `benchmarks frame` compare half mirrors with these")
+        kept_for="`benchmarks look` and `benchmarks frame` compare other sizes with these")
     film: str = setting(
         "auto", "film", "", "the mirror of wet ground between puddles: auto draws it where it "
         "shows, mirror always, environment glosses only",
