@@ -71,7 +71,7 @@ def test_pictures_taken_with_the_camera_on_its_side(sideways):
 
 def test_a_ring_at_uneven_heights_is_level_in_any_frame_and_none_of_it_is_misplaced():
     for seed in range(40):
-        rng, turn = np.random.default_rng(seed), Rotation.random(rng=seed).as_matrix()
+        rng, turn = np.random.default_rng(seed), Rotation.random(None, seed).as_matrix()
         angle, away = np.linspace(0, 2 * np.pi, 24, endpoint=False), rng.uniform(4.6, 6.2, 24)
         height = 1.8 + rng.uniform(-0.3, 0.3, 24)
         height[5] += 8 * (seed % 2)
