@@ -20,7 +20,6 @@ from rainsim import raster
 from rainsim.jit import set_threads
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.library import load_scene
-from rainsim.splatting import project
 
 SCENE = "bicycle"
 WIDTH = {False: 648, True: 96}  # px
@@ -32,7 +31,7 @@ PEERS_IN = "stop"  # the group beside which other programs stand in the chart
 LEAST_DECIBEL = 90.0  # that a default has to reach against float64
 # Kernels of a picture by stage: the module in which the rasterizer looks them up, and their names.
 STAGES = {
-    "cull": (project, "find_chunks"), "project": (project, "project_chunks"),
+    "cull": (raster.project, "find_chunks"), "project": (raster.project, "project_chunks"),
     "places": (raster, "tile_starts"), "list": (raster, "list_tiles"),
     "sort and blend": (raster, "blend_tiles"),
 }  # fmt: skip

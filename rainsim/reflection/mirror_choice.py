@@ -15,7 +15,7 @@ LEVEL_STEPS = int(MIRROR_SPREAD / LEVEL_STEP)
 # length and root of mm/h: 1.1e-3 to 2.3e-3 in three scenes at 10 and 50 mm/h, on clean water.
 RING_BLUR = 1.4e-3
 FILM_CALMS = 0.3  # share of the rms slope that a full film of dirt takes, 0.27 to 0.31
-HALF_BLUR = 1.4  # px: a picture of half the size blurs by 1
+HALF_BLUR = 1.4  # px: a picture of half the size blurs by less
 HALF_MERGE = 2.0  # times as wide are the cells in which such a picture merges splats
 
 
