@@ -21,7 +21,6 @@ from rainsim.render.shutter import next_camera
 from rainsim.scene.view import pixel_rays
 from rainsim.shading import composite
 from rainsim.shading.dampness import find_dampness
-from rainsim.shading.grading import OPAQUE
 from rainsim.terrain.table import WATER
 
 MOST_INDEX = 2**16 - 1
@@ -113,14 +112,12 @@ def _normal(layers, view):
     return (layers.normal @ view.ground_from_camera.T).astype(np.float32)
 
 
-@layer("wetness")
-def _wetness(layers, depth, view, scene):
-    damp, now = np.empty(depth.shape, np.float32), scene.shading
-    find_dampness(
-        depth, scene.dry(layers), now.look, view,
-        now.ground, now.off_ground, damp,
-    )  # fmt: skip
-    return damp
+@layer("wetness", "matte", name="wet and covered shares")
+def _wet_shares(layers, depth, view, scene):
+    damp, matte = (np.empty(depth.shape, np.float32) for _ in range(2))
+    now = scene.shading
+    find_dampness(depth, scene.dry(layers), now.look, view, now.ground, now.off_ground, damp, matte)
+    return damp, matte
 
 
 @layer("transmission")
@@ -255,12 +252,6 @@ def _clear_air(dazzling, brightness):
 @layer("dry")
 def _dry(layers, camera, capture):
     return srgb.linear(capture.captured_color(camera, layers)).astype(np.float32)
-
-
-@layer("matte")
-def _matte(layers):
-    # As `grading.covered_share`.
-    return np.interp(layers.alpha, (0, 0.5, OPAQUE), (0, 0.5, 1)).astype(np.float32)
 
 
 @layer("position")

@@ -9,6 +9,7 @@ import numpy as np
 
 from rainsim.constants import HALF, ONE, ZERO
 from rainsim.jit import inlined_function
+from rainsim.numerics.interpolation import smoothstep
 from rainsim.shading.color import LUMA, linear_from_display, luminance
 from rainsim.shading.fresnel import LAWS
 
@@ -21,6 +22,7 @@ SKY_DULL, SKY_BLUE = np.float32(0.6), np.float32(0.85)  # blue over the largest 
 # Alpha that hides all: the sky before which a surface was trained shows through it a little; and
 # next to none.
 OPAQUE, LEAST_COVER = np.float32(0.8), np.float32(1e-3)
+CROWN = np.float32(0.07)  # sine of the elevation from which on leaves are seen before the sky
 
 
 class Look(NamedTuple):
@@ -84,12 +86,17 @@ def graded(r, g, b, look):
 
 
 @inlined_function
-def covered_share(alpha):
+def covered_share(alpha, leaf, sine):
     """Return the share of a pixel in which a surface of this alpha hides the sky behind.
 
-    At edges it is alpha, up to HALF; what hides nearly all hides all.
+    At edges it is alpha, up to HALF; what hides nearly all hides all. Between the leaves of a crown
+    the sky is seen, between those of a hedge are more leaves.
+
+    leaf : float32. How surely it is leaves, 0 to 1.
+    sine : float32. Of the elevation that it is seen at.
     """
-    return min(max(alpha, HALF + (alpha - HALF) / (OPAQUE / HALF - ONE)), ONE)
+    whole = min(max(alpha, HALF + (alpha - HALF) / (OPAQUE / HALF - ONE)), ONE)
+    return whole + leaf * smoothstep(ZERO, CROWN, sine) * (alpha - whole)
 
 
 @inlined_function

@@ -16,10 +16,11 @@ from rainsim.scene.view import column_slope, row_slope
 from rainsim.shading.bodies import NO_BODIES
 from rainsim.shading.smooth_normals import EACH, SAMPLES, sample, turned
 
-FLAT = np.float32(0.7)  # cosine to the vertical above which a surface counts as level
-LEANS = np.float32(0.1)  # the same below which a surface counts as upright
-# Heights over the bed [m]: up to the first all is ground, from the second on what is upright is
-# not; up to the third what is level is ground, from the fourth on nothing is.
+# Cosines to the vertical: below the first a surface counts as upright, from the second on not at
+# all, above the third as level.
+LEANS, SLOPES, FLAT = (np.float32(v) for v in (0.1, 0.3, 0.7))
+# Heights over the bed [m]: up to the first all is ground that is not upright, from the second on
+# what slopes is not; up to the third what is level is ground, from the fourth on nothing is.
 FOOT, FOOT_END, LOW, HIGH = (np.float32(v) for v in (0.05, 0.1, 0.2, 0.4))
 LAYER_END = np.float32(2)  # the same over the thickness of a layer of splats about a poor bed
 BELOW_EYE = np.float32(0.8)  # share of the eye's height, at which no ground shows, where that fades
@@ -227,11 +228,11 @@ def within(ground, u, v):
 def ground_share(height, upness, poor):
     """Return how surely a surface at a height [m] over the bed is the ground, 0 to 1.
 
-    What is low is ground, however its splats lie; what is somewhat higher is if it is level. A step
-    of the cosine `upness` to the vertical would draw the noise of normals as patches. Of ground
-    that is poorly known the share `poor` is known, see `SurfacePoint`.
+    What is low is ground unless it is upright; what is somewhat higher is if it is level. A step of
+    the cosine `upness` to the vertical would draw the noise of normals as patches. Of ground that
+    is poorly known the share `poor` is known, see `SurfacePoint`.
     """
-    foot = ONE - smoothstep(FOOT, FOOT_END, height)
+    foot = (ONE - smoothstep(FOOT, FOOT_END, height)) * smoothstep(LEANS, SLOPES, upness)
     low = ONE - smoothstep(LOW, HIGH, height)
     return max(foot, low * smoothstep(LEANS, FLAT, upness)) if poor < ZERO else poor
 

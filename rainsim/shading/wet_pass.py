@@ -402,7 +402,7 @@ def write_cover(ground, look, n, s, cover_out):
     for i in range(n):
         cover_out[i] = ZERO
         if s[LEVEL + i] > ZERO:
-            cover_out[i] = covered_share(s[ALPHA + i]) * mirror_cover(
+            cover_out[i] = covered_share(s[ALPHA + i], ZERO, ZERO) * mirror_cover(
                 surface_point(s, i), s[CLEARANCE + i], s[LEVEL + i],
                 stored_wetness(s, WETNESS + i, CHUNK), ground, look,
             )  # fmt: skip

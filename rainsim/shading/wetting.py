@@ -21,7 +21,9 @@ from rainsim.shading.environment import sample_environment
 from rainsim.shading.fresnel import reflectance
 from rainsim.shading.grading import covered_share, graded, surface_color
 from rainsim.shading.surface_point import (
+    LEANS,
     NOT_POOR,
+    SLOPES,
     SurfacePoint,
     ground_share,
     heights_of,
@@ -60,11 +62,8 @@ TALLER = np.float32(3)  # m over the ground, above which there are no bodies
 GRAZING = np.float32(0.02)  # least cosine that Fresnel's factor is taken at
 # The same of leaves: one on edge fills no pixel, and the normal there is that of others. By eye.
 LEAF_GRAZING = np.float32(0.5)
-
-UNLIKE, ALIKE = (
-    np.float32(0.4),
-    np.float32(0.8),
-)  # length of the mean of noisy normals; of fair ones
+# Length of the mean of noisy normals, and of fair ones.
+UNLIKE, ALIKE = np.float32(0.4), np.float32(0.8)
 OPEN_LOW, OPEN_HIGH = np.float32(-0.12), np.float32(-0.06)  # sines from which an open sky shows
 HOLE, GAP = np.float32(0.2), np.float32(0.6)  # of a pixel left open: a flaw, and the sky
 LEAST_SKY = np.float32(0.002)  # share of sky that does not change an 8-bit picture
@@ -217,7 +216,9 @@ def wetted_normal(r, g, b, height, point, around, layer):
         # Normals are noise there: a wall is upright, leaves face any way.
         sure = smoothstep(UNLIKE, ALIKE, length)
         z, leaf = sure * z + (ONE - sure) * leaf * LEAFY, ZERO
-    leaf = max(leaf, ground_share(height, max(point.nz, z), NOT_POOR))
+    # Of ground an upright normal is noise where those around it are level.
+    own = smoothstep(LEANS, SLOPES, point.nz)
+    leaf = max(leaf, own * ground_share(height, max(point.nz, z), NOT_POOR))
     leaf = leaf if square > np.float32(1e-6) else ONE
     x, y, z = x + leaf * (point.nx - x), y + leaf * (point.ny - y), z + leaf * (point.nz - z)
     inv = ONE / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-6))
@@ -263,10 +264,8 @@ def wet_state(point, clearance, height, level, leaf, lit, ground, rain):
 def mirror_cover(point, clearance, level, wet, ground, look):
     """Return the share of a full water film at a point, times `look.wetness`.
 
-    A share `level` of the point is ground.
-
-    `clearance` is that of `heights_of`, `wet` that of `wet_state`. Off the map the film is that at
-    the border.
+    A share `level` of it is ground, `clearance` is that of `heights_of`, `wet` that of `wet_state`.
+    Off the map the film is that at the border.
     """
     lawn, film = wet.lawn, wet.film
     if not clearance < FAR_AWAY:
@@ -303,9 +302,9 @@ def rainy_color(r, g, b, alpha, sine, cosine, upness, height, level, wet, look):
     """
     gloss, smooth = ZERO, ZERO
     r, g, b = graded(r, g, b, look)
+    thing = ONE - level
+    leaf = thing * leaf_share(r, g, b)
     if wet.dampness > ZERO:
-        thing = ONE - level
-        leaf = thing * leaf_share(r, g, b)
         coat = (thing - leaf) * max(ONE - SMOOTH * wet.porosity, ZERO)
         smooth = MIRROR if coat > leaf else leaf
         gloss = (ONE - leaf - coat) * max(TWO * upness - ONE, ZERO) * (ONE - wet.lawn) * GLOSS
@@ -330,7 +329,7 @@ def rainy_color(r, g, b, alpha, sine, cosine, upness, height, level, wet, look):
     # in haze; `skyline` says in which directions it is open.
     keep = ONE
     if look.open_sky > ZERO:
-        keep = covered_share(alpha)
+        keep = covered_share(alpha, leaf, sine)
         through = (ONE - keep) * smoothstep(OPEN_LOW, OPEN_HIGH, sine)
     else:
         through = (ONE - alpha) * smoothstep(HOLE, GAP, ONE - alpha)
@@ -402,7 +401,8 @@ def wet_pixel(color, alpha, ray, point, around, ground, rain, sky, look, mirror_
     )
     cover = ZERO
     if mirror_apart and level > ZERO:
-        cover = covered_share(alpha) * mirror_cover(point, clearance, level, wet, ground, look)
+        cover = covered_share(alpha, ZERO, ZERO)
+        cover *= mirror_cover(point, clearance, level, wet, ground, look)
         gloss *= ONE - level
     if gloss > ZERO:
         u, v, w = glossed(x, y, z, cosine, point.nx, point.ny, point.nz, smooth)

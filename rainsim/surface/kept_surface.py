@@ -343,6 +343,6 @@ def _sky_splats(scene, views, colors, position, alone, middle, light, lit, veile
     needle |= (veiled > OFTENER * lit) & (veiled >= LEAST)
     hidden &= alike | wide | (off < SAME)
     unseen = (before_sky + seen == 0) & alone & (off < SAME)
-    aloft = (land <= sky) & (before_sky > 0)
+    aloft = ((land <= sky) & (before_sky > 0)) | (alone & (off < SAME))
     found |= ((likely | hidden | unseen) & (high > 0)) | (needle & (high > BELOW))
     return found, aloft

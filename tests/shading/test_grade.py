@@ -120,16 +120,18 @@ def test_chunks_give_what_single_pixels_give(dry, scene, poisoned, open_sky, apa
     assert not apart or 0.05 < (wanted[3] > 0).mean() < 0.8
 
 
-def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisoned):
+def test_the_layers_show_how_wet_the_place_is_that_is_wetted_and_what_it_covers(
+    dry, scene, poisoned
+):
     """Not the place that is drawn: along walls that one may lie beside the map."""
     dry["plane_depth"] = (dry["depth"] * np.where(np.arange(WIDTH) % 3, 1.02, 0.9)).astype(F4)
     dry = wet_pass.DryPicture(**dry, meters_per_unit=UNIT, around=F4(0.4))
     look = dull(open_sky=1)
     ground, rain, _ = scene
     *_, depth, _, _ = pixel_by_pixel(dry, *scene, look, True)
-    found, wanted = poisoned((HEIGHT, WIDTH)), np.zeros((HEIGHT, WIDTH))
-    find_dampness(depth.astype(F4), dry, look, VIEW, ground, rain, found)
-    beside = 0
+    found, matte = (poisoned((HEIGHT, WIDTH)) for _ in range(2))
+    find_dampness(depth.astype(F4), dry, look, VIEW, ground, rain, found, matte)
+    wanted, beside, whole = np.zeros((HEIGHT, WIDTH)), 0, matte.copy()
     for at in zip(*np.nonzero(np.isfinite(depth)), strict=True):
         ray, normal = F4(pixel_ray(VIEW, *at)), TURN @ dry.normal[at]
         d, e = surface_point.depth_of_surface(
@@ -149,9 +151,11 @@ def test_the_layer_shows_how_wet_the_place_is_that_is_wetted(dry, scene, poisone
             point = SurfacePoint(*(EYE + e * ray), *lean, e * length)
         level = surface_point.ground_share(above, point.nz, F4(-1))
         leaf = wetting.leaf_share(*undiluted(*dry.color[at], dry.alpha[at]))
+        whole[at] = covered_share(dry.alpha[at], (1 - level) * leaf, ray[2])
         wet = wetting.wet_state(point, clearance, above, level, leaf, F4(1), ground, rain)
         wanted[at] = wet.dampness
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-4)
+    np.testing.assert_allclose(matte, whole, atol=1e-5)
     assert beside > 0 and (wanted > 0.05).mean() > 0.3 and np.ptp(wanted) > 0.5
 
 
@@ -170,8 +174,10 @@ def test_nowhere_is_some_place_in_memory(poisoned):
 
 
 def test_what_hides_nearly_all_of_the_sky_hides_all_and_edges_stay_as_they_are():
-    found = [covered_share(F4(alpha)) for alpha in (0, 0.1, 0.5, 0.65, OPAQUE, 1)]
-    np.testing.assert_allclose(found, [0, 0.1, 0.5, 0.75, 1, 1], rtol=1e-6)
+    alphas, whole = F4([0, 0.1, 0.5, 0.65, OPAQUE, 1]), [0, 0.1, 0.5, 0.75, 1, 1]
+    for leaf, sine, wanted in ((0, 0.5, whole), (1, 0.5, alphas), (1, 0, whole)):  # crown, hedge
+        found = [covered_share(alpha, F4(leaf), F4(sine)) for alpha in alphas]
+        np.testing.assert_allclose(found, wanted, rtol=1e-6)
 
 
 @pytest.mark.parametrize("z", [0.3, -0.3])
@@ -321,8 +327,9 @@ def test_ground_is_told_without_a_step_of_height_or_normal():
     share = np.array([
         [surface_point.ground_share(F4(h), F4(u), F4(-1)) for u in upness] for h in heights
     ])  # fmt: skip
-    assert share[heights < 0.04].min() == 1 and share[heights > 0.41].max() == 0
+    assert share[heights < 0.04][:, upness > 0.31].min() == 1 and share[heights > 0.41].max() == 0
+    assert share[:, upness < 0.09].max() == 0  # the foot of a wall
     assert (
-        np.abs(np.diff(share, axis=0)).max() < 0.2 and np.abs(np.diff(share, axis=1)).max() < 0.05
+        np.abs(np.diff(share, axis=0)).max() < 0.2 and np.abs(np.diff(share, axis=1)).max() < 0.08
     )
-    assert share[-1, 0] == 0 and share[heights.searchsorted(0.15), -1] == 1
+    assert share[heights.searchsorted(0.15), -1] == 1
