@@ -62,7 +62,7 @@ class Found(NamedTuple):
 
     surface: CaptureSurface
     sky: np.ndarray  # (n,), bool, splats that are sky
-    aloft: np.ndarray  # (n,), bool, that lie before the sky, and give land no more light than that
+    aloft: np.ndarray  # (n,), bool, that light it more than land, or are alone and have its colour
     middle: np.ndarray  # (3,), float32, m, of what the cameras look at, in the ground frame
     solid: np.ndarray  # (m, 10), float32
     open: np.ndarray  # (rows, columns), float32, see `captured_sky.seen_sky`

@@ -499,11 +499,17 @@ def test_what_the_sky_hides_goes_unless_cameras_see_it(yard):
     scene = replace(yard, splats=factories.splats([[0, 9, 3]] * 6, scale=0.01, color=(0.1, 0, 0)))
     colors = SimpleNamespace(at=lambda way: 0 * way, off=lambda color, way: 3 + 0 * way[:, 0])
     lens = [SimpleNamespace(lens=(100,))]
-    found, _ = kept_surface._sky_splats(
-        scene, lens, colors, np.float32([[0, 9, 3]] * 6), np.ones(6, bool), np.zeros(3, "f4"),
-        light, lit, veiled,
-    )  # fmt: skip
+
+    def told(alone):
+        where = np.float32([[0, 9, 3]] * 6), alone, np.zeros(3, "f4")
+        return kept_surface._sky_splats(scene, lens, colors, *where, light, lit, veiled)
+
+    found, aloft = told(np.ones(6, bool))
     assert found.tolist() == [True, False, False, False, False, True]
+    assert aloft.tolist() == [True, True, False, True, False, False]
+    # The colour of the sky where no surface is: the sky is seen among leaves that hide most of it.
+    colors.off = lambda color, way: 0.1 + 0 * way[:, 0]
+    assert told(np.arange(6) > 3)[1].tolist() == [True, True, False, True, True, True]
 
 
 def test_few_splats_have_no_surface(yard):
