@@ -10,18 +10,7 @@ import gc
 import click
 
 from rainsim import __version__
-from rainsim.commands import (
-    doctor,
-    export,
-    film,
-    flow,
-    heightmap,
-    lidar,
-    splat,
-    tools,
-    view,
-    world,
-)
+from rainsim.commands import doctor, export, film, flow, heightmap, lidar, splat, tools, view, world
 from rainsim.commands.status import interrupts_remembered
 from rainsim.errors import ParameterError, RainsimError, one_line
 from rainsim.io.allocator import share_heaps

@@ -2,16 +2,7 @@
 
 import numpy as np
 
-from rainsim.datasets.data_files import (
-    BYTES,
-    FOLDER,
-    JSON,
-    PNG,
-    PNG16,
-    PNG48,
-    DataFile,
-    condition,
-)
+from rainsim.datasets.data_files import BYTES, FOLDER, JSON, PNG, PNG16, PNG48, DataFile, condition
 from rainsim.datasets.sample import depth_mm
 
 

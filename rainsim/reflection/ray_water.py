@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rainsim.constants import HALF, ONE, ZERO
+from rainsim.constants import FOUR, HALF, ONE, ZERO
 from rainsim.jit import cpu_kernel, device_function, inlined_function, lean_function, prange
 from rainsim.numerics.interpolation import bilinear, map_place, smoothstep
 from rainsim.numerics.pixel_batches import CHUNK, CORNERS, interpolate
@@ -72,7 +72,9 @@ def meet_row(row, depth, view, water_map, highest, cover, hit_out, coverage_out)
         low = aim(depth[row, left : left + n], view, highest, left, b, n, s)
         if low > 0:
             follow(view, water_map, n, s, place, corner)
-            count += cover_chunk(depth, row, left, view, water_map, cover, n, s, hit, here)
+            count += cover_chunk(
+                depth, row, left, view, water_map, cover, n, s, place, corner, hit, here
+            )
         else:
             here[:] = ZERO
     return count
@@ -133,51 +135,75 @@ def find_cells(view, water_map, n, s):
 
 
 @inlined_function
-def cover_chunk(depth, row, left, view, water_map, cover, n, s, hit_out, coverage_out):
-    """Write where n rays have met the water and how much it covers; return how often it does."""
+def cover_chunk(
+    depth, row, left, view, water_map, cover, n, s, place, corner, hit_out, coverage_out
+):
+    """Write where n rays have met the water and how much it covers; return how often it does.
+
+    In vectors what `covered` does where one place of a pixel tells, and nothing stands above it.
+    """
     ny, nx = water_map.surface.shape
-    right, bottom = np.float32(nx - 2), np.float32(ny - 2)
+    right, bottom, thin, full = np.float32(nx - 2), np.float32(ny - 2), cover[0], cover[1]
     find_cells(view, water_map, n, s)
-    up, count = view.eye[2], 0
+    stretch = stretch_of(view, water_map)
     for i in range(n):
-        t, u, v, z, covers = s[WAY + i], s[U + i], s[V + i], s[RAY_Z + i], ZERO
-        inside = (u > ONE) & (v > ONE) & (u <= right) & (v <= bottom)
-        if inside & (t > ZERO) & (s[STEP + i] <= FAR_OFF):
-            behind = s[DEPTH + i] - t
-            if behind * z > HIDE_LOW and is_speck(depth, view, row, left + i, up + t * z):
-                behind = ZERO
-            x, y = s[RAY_X + i], s[RAY_Y + i]
-            covers = covered(view, water_map, x, y, z, t, u, v, behind, cover)
-        coverage_out[i], hit_out[i] = covers, t
-        count += np.int64(covers > ZERO)
+        u, v, t, x, y, z = s[U + i], s[V + i], s[WAY + i], s[RAY_X + i], s[RAY_Y + i], s[RAY_Z + i]
+        met = (u > ONE) & (v > ONE) & (u <= right) & (v <= bottom)
+        met &= (t > ZERO) & (s[STEP + i] <= FAR_OFF)
+        long = t * stretch / z
+        several = long * long * (x * x + y * y) >= FOUR
+        s[STEP + i] = (ONE if several else HALF) if met else ZERO
+    interpolate(water_map.depth, n, s, U, V, place, corner)
+    for i in range(n):
+        share, above = smoothstep(thin, full, s[U + i]), (s[DEPTH + i] - s[WAY + i]) * s[RAY_Z + i]
+        share = share if (share > LEAST_COVERAGE) & (s[STEP + i] > ZERO) else ZERO
+        asked = (s[STEP + i] == ONE) | ((share > ZERO) & (above > HIDE_LOW))
+        s[U + i], s[STEP + i] = share, ONE if asked else ZERO
+    count = 0
+    for i in range(n):
+        if s[STEP + i] > ZERO:
+            ray = s[RAY_X + i], s[RAY_Y + i], s[RAY_Z + i]
+            s[U + i] = covered(depth, view, water_map, row, left + i, ray, s[WAY + i], cover)
+    for i in range(n):
+        coverage_out[i], hit_out[i] = s[U + i], s[WAY + i]
+        count += np.int64(s[U + i] > ZERO)
     return count
 
 
 @inlined_function
-def covered(view, water_map, x, y, z, t, u, v, behind, cover):
-    """Return the share of a pixel that the water covers, which its ray meets in cell (u, v).
+def stretch_of(view, water_map):
+    """Return by how many cells a ray's place moves from row to row, over its depth and fall."""
+    m = view.ground_from_camera
+    across, down = m[2, 0] / view.fx, m[2, 1] / view.fy  # by which z changes from pixel to pixel
+    return math.sqrt(across * across + down * down) / water_map.spacing
+
+
+@inlined_function
+def covered(depth, view, water_map, row, column, ray, t, cover):
+    """Return the share of a pixel that the water covers, which its ray meets.
 
     At one place the share grows with the depth, from 0 to 1, as `cover` says. Far off a pixel is a
     metre long along its ray, and puddles are shorter: the mean of places along it is taken. What
     the picture shows above the water hides it, softly at the contact.
 
-    (x, y, z) is the ray for a depth of 1, t the depth of the water and `behind` how far beyond it
-    the scene lies, both along the view axis [m].
+    `ray` is the ray for a depth of 1, t the depth of the water along the view axis [m].
     """
-    shown = ONE - smoothstep(HIDE_LOW, HIDE_HIGH, behind * z)  # height of the scene over the water
-    if shown <= ZERO:
+    x, y, z = ray
+    above = (depth[row, column] - t) * z  # height of the scene over the water
+    if above > SPECK:
         return ZERO
-    m = view.ground_from_camera
-    across, down = m[2, 0] / view.fx, m[2, 1] / view.fy  # by which z changes from pixel to pixel
-    long = t * math.sqrt(across * across + down * down) / (z * water_map.spacing)
-    du, dv = long * x, long * y
+    long = t * stretch_of(view, water_map) / z
+    du, dv, origin = long * x, long * y, water_map.origin
+    u, v = map_place(view.eye[0] + t * x, view.eye[1] + t * y, origin, water_map.spacing)
     count = min(int(math.sqrt(du * du + dv * dv) * HALF) + 1, MOST_PLACES)
     share, part = ZERO, ONE / np.float32(count)
     for k in range(count):
         at = (np.float32(k) + HALF) * part - HALF
-        depth = bilinear(water_map.depth, u + at * du, v + at * dv)
-        share += part * smoothstep(cover[0], cover[1], depth)
-    share *= shown
+        deep = bilinear(water_map.depth, u + at * du, v + at * dv)
+        share += part * smoothstep(cover[0], cover[1], deep)
+    if share > ZERO and above > HIDE_LOW:
+        if not is_speck(depth, view, row, column, view.eye[2] + t * z):
+            share *= ONE - smoothstep(HIDE_LOW, HIDE_HIGH, above)
     return share if share > LEAST_COVERAGE else ZERO
 
 

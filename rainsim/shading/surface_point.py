@@ -72,7 +72,7 @@ class SurfacePoint(NamedTuple):
 
 
 @inlined_function
-def seen_surface(turn, view, row, column, normal, depth, plane_depth, dry, size, ground):
+def seen_surface(turn, view, row, column, normal, depth, plane_depth, dry, size, ground, poor=True):
     """Return what a pixel of the capture shows: view direction, depths, cosine and place.
 
     turn : tuple of 9 float32. Of the camera, see `turn_of`.
@@ -83,6 +83,7 @@ def seen_surface(turn, view, row, column, normal, depth, plane_depth, dry, size,
     dry : wet_pass.DryPicture
     size : tuple of 2 int. Rows and columns of the part of the picture that was drawn.
     ground : GroundMaps
+    poor : bool. False: no part of it is poorly known.
     Returns x, y, z : float32. Unit direction of view, ground frame.
         drawn : float32 [m]. Depth of what is drawn.
         cosine : float32. Between the normal and the way back to the eye.
@@ -102,7 +103,7 @@ def seen_surface(turn, view, row, column, normal, depth, plane_depth, dry, size,
     point = SurfacePoint(
         eye[0] + e * x, eye[1] + e * y, eye[2] + e * z, lean_x, lean_y, upness, e * length, NOT_POOR
     )
-    if ground.layer.shape[0] > 1 and e > ZERO:
+    if poor and ground.layer.shape[0] > 1 and e > ZERO:
         u, v = map_place(point.x, point.y, ground.origin, ground.spacing)
         layer = layer_at(ground, u, v)
         above, stands = point.z - bed_at(ground, u, v), (ZERO, FAR_AWAY)

@@ -195,16 +195,26 @@ def read_surface(depth, plane_depth, normal, meters_per_unit, n, s):
 def locate(view, row, left, n, dry, ground, s):
     """Find where in the ground frame each pixel of a row is."""
     turn = turn_of(view.ground_from_camera)
-    for i in range(n):
-        x, y, z, depth, cosine, point = seen_surface(
-            turn, view, row, left + i, (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]),
-            s[DEPTH + i], s[PLANE + i], dry, dry.depth.shape, ground,
-        )  # fmt: skip
-        s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x, y, z
-        s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
-        s[COSINE + i], s[DEPTH + i] = cosine, depth
-        s[X + i], s[Y + i], s[Z + i], s[AWAY + i] = point.x, point.y, point.z, point.distance
-        s[POOR + i] = point.ground
+    if ground.layer.shape[0] > 1:
+        for i in range(n):
+            locate_pixel(turn, view, row, left, i, dry, ground, True, s)
+    else:  # in vectors
+        for i in range(n):
+            locate_pixel(turn, view, row, left, i, dry, ground, False, s)
+
+
+@inlined_function
+def locate_pixel(turn, view, row, left, i, dry, ground, poor, s):
+    """Find where in the ground frame pixel i of a chunk is."""
+    x, y, z, depth, cosine, point = seen_surface(
+        turn, view, row, left + i, (s[NORMAL_X + i], s[NORMAL_Y + i], s[NORMAL_Z + i]),
+        s[DEPTH + i], s[PLANE + i], dry, dry.depth.shape, ground, poor,
+    )  # fmt: skip
+    s[VIEW_X + i], s[VIEW_Y + i], s[VIEW_Z + i] = x, y, z
+    s[LEAN_X + i], s[LEAN_Y + i], s[UPNESS + i] = point.nx, point.ny, point.nz
+    s[COSINE + i], s[DEPTH + i] = cosine, depth
+    s[X + i], s[Y + i], s[Z + i], s[AWAY + i] = point.x, point.y, point.z, point.distance
+    s[POOR + i] = point.ground
 
 
 @inlined_function
@@ -302,13 +312,14 @@ def find_levels(n, s):
 
 @inlined_function
 def find_wetness(ground, rain, look, n, s):
-    """Find how wet each pixel's surface is: `wet_state` in vectors."""
+    """Find how wet each pixel's surface is."""
     for i in range(n):
-        leaf = leaf_share(s[RED + i], s[GREEN + i], s[BLUE + i])
-        lit = lit_share(s[RED + i], s[GREEN + i], s[BLUE + i], look)
+        s[GLOSS + i] = leaf_share(s[RED + i], s[GREEN + i], s[BLUE + i])
+        s[THROUGH + i] = lit_share(s[RED + i], s[GREEN + i], s[BLUE + i], look)
+    for i in range(n):
         wet = wet_state(
-            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], leaf, lit, ground,
-            rain,
+            surface_point(s, i), s[CLEARANCE + i], s[HEIGHT + i], s[LEVEL + i], s[GLOSS + i],
+            s[THROUGH + i], ground, rain,
         )  # fmt: skip
         store_wetness(wet, s, WETNESS + i, CHUNK)
 

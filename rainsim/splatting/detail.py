@@ -24,13 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rainsim.splatting.level_kernels import (
-    LEAST,
-    find_cells,
-    merge_colors,
-    merge_shapes,
-    minors_of,
-)
+from rainsim.splatting.level_kernels import LEAST, find_cells, merge_colors, merge_shapes, minors_of
 from rainsim.splatting.prepared import (
     GEOMETRY,
     LANES,

@@ -4,15 +4,7 @@ import numpy as np
 
 from rainsim.constants import ONE, ZERO
 from rainsim.cuda.jit import cuda, cuda_kernel
-from rainsim.reflection.ray_water import (
-    HIDE_LOW,
-    LEAST_DIP,
-    NOTHING,
-    SPECK,
-    covered,
-    is_speck,
-    meet_surface,
-)
+from rainsim.reflection.ray_water import LEAST_DIP, NOTHING, SPECK, covered, meet_surface
 from rainsim.scene.view import pixel_ray
 
 
@@ -37,7 +29,5 @@ def meet_water(depth, view, water_map, highest, cover, hit_out, coverage_out):
         return
     if u > np.float32(nx - 2) or v > np.float32(ny - 2):
         return
-    if (behind - t) * z > HIDE_LOW and is_speck(depth, view, row, column, view.eye[2] + t * z):
-        behind = t
-    covers = covered(view, water_map, x, y, z, t, u, v, behind - t, cover)
+    covers = covered(depth, view, water_map, row, column, (x, y, z), t, cover)
     coverage_out[row, column], hit_out[row, column] = covers, t

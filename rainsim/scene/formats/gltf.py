@@ -16,11 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from rainsim.errors import InputError, shown
 from rainsim.io.files import MAX_LENGTH, number_array
-from rainsim.scene.activate import (
-    MAX_BROKEN_SHARE,
-    activate,
-    require_believable,
-)
+from rainsim.scene.activate import MAX_BROKEN_SHARE, activate, require_believable
 from rainsim.scene.harmonics import turned
 from rainsim.scene.splat_sets import joined
 
