@@ -22,7 +22,7 @@ SKY_DULL, SKY_BLUE = np.float32(0.6), np.float32(0.85)  # blue over the largest 
 # Alpha that hides all: the sky before which a surface was trained shows through it a little; and
 # next to none.
 OPAQUE, LEAST_COVER = np.float32(0.8), np.float32(1e-3)
-CROWN = np.float32(0.07)  # sine of the elevation from which on leaves are seen before the sky
+CROWN = np.float32(0.04)  # sine of the elevation from which on leaves are seen before the sky
 
 
 class Look(NamedTuple):
