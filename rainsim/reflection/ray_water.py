@@ -146,7 +146,7 @@ def cover_chunk(
     right, bottom, thin, full = np.float32(nx - 2), np.float32(ny - 2), cover[0], cover[1]
     find_cells(view, water_map, n, s)
     stretch = stretch_of(view, water_map)
-    for i in range(n):
+    for i in range(n):  # the change in the last step gives way to what is to be done: 0: nothing
         u, v, t, x, y, z = s[U + i], s[V + i], s[WAY + i], s[RAY_X + i], s[RAY_Y + i], s[RAY_Z + i]
         met = (u > ONE) & (v > ONE) & (u <= right) & (v <= bottom)
         met &= (t > ZERO) & (s[STEP + i] <= FAR_OFF)
