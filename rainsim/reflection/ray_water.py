@@ -202,23 +202,19 @@ def covered(depth, view, water_map, row, column, ray, t, cover):
         deep = bilinear(water_map.depth, u + at * du, v + at * dv)
         share += part * smoothstep(cover[0], cover[1], deep)
     if share > ZERO and above > HIDE_LOW:
-        if not is_speck(depth, view, row, column, view.eye[2] + t * z):
+        if not is_speck(depth, view, row, column, view.eye[2] + t * z, above):
             share *= ONE - smoothstep(HIDE_LOW, HIDE_HIGH, above)
     return share if share > LEAST_COVERAGE else ZERO
 
 
 @lean_function
-def is_speck(depth, view, row, column, level):
-    """Tell whether what a pixel shows just above water at a `level` [m] is noise of the depth.
+def is_speck(depth, view, row, column, level, above):
+    """Tell whether what a pixel shows just `above` water at a `level` [m] is noise of the depth.
 
     At an edge of what lies under water the depth of splats may be a centimetre or two too small,
     in a pixel here and there. Of what really stands out, four pixels around are half as high.
     """
     height, width = depth.shape
-    _, _, z = pixel_ray(view, row, column)
-    above = view.eye[2] + depth[row, column] * z - level
-    if above > SPECK:
-        return False
     standing = 0
     for j in range(max(row - 1, 0), min(row + 2, height)):
         for i in range(max(column - 1, 0), min(column + 2, width)):
