@@ -108,7 +108,7 @@ def draw(result, path):
         shown = [row for row in rows if row["leg"] == begins]
         axes[0].plot([row["x"] for row in shown], [row["cpu_ms"] for row in shown], ls="",
                      color=COLORS[n], marker=MARKERS[n], ms=2.5 + n, label=label)  # fmt: skip
-    axes[0].set(ylabel="ms of processors", ylim=(0, None))
+    axes[0].set(ylabel="ms of processors", yscale="log", ylim=(100, None))
     axes[0].legend(fontsize=8, loc="upper right")
     for key, n, label in (("peak", 1, "at most"), ("resident", 0, "after a frame")):
         axes[1].plot([row["x"] for row in rows], [row[key] / 1e9 for row in rows],
