@@ -16,9 +16,10 @@ from importlib.util import find_spec
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.stored_views import read_points, read_views
 from benchmarks.suite import intrinsics
 from rainsim.constants import SH_0
-from rainsim.datasets.reading import read_points, read_views, stored_card
+from rainsim.datasets.reading import stored_card
 from rainsim.errors import ParameterError
 from rainsim.io.files import write_json
 from rainsim.io.images import write_png
@@ -225,7 +226,7 @@ def measure(folder, out, rates=None, steps=3000, most=50_000, seed=0, degree=1, 
     Parameters
     ----------
     folder : path-like
-        A finished data set in nerfstudio's layout, see `rainsim.datasets.reading`, with held-out
+        A finished data set in nerfstudio's layout, see `benchmarks.stored_views`, with held-out
         views, and with clear pictures or partners.
     out : Path
         Where table.json and downstream.png go: the first held-out view and what is trained for it.

@@ -1,11 +1,14 @@
-"""Rain in space against rain drawn flat on the picture: whether two views of one moment agree."""
+"""Rain in space against rain drawn flat on the picture: whether two views of one moment agree.
+
+Needs PYTHONPATH=. in a checkout.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 
 import rainsim
-from rainsim.datasets.overlay import flat_rain, partners
+from benchmarks.flat_rain import flat_rain, partners
 from rainsim.io.images import write_png
 from rainsim.scene.cameras import resize_to
 

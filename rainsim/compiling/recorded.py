@@ -1,6 +1,6 @@
 """The recorded list: kernels that a use needs, their argument types and their times to compile.
 
-`python -m rainsim.commands.record` makes the list; a test fails when it is out of date. At run time
+`python -m benchmarks.record` makes the list; a test fails when it is out of date. At run time
 an entry that no longer fits is skipped, and its kernel compiled when it is called, as one that is
 not on the list.
 """
@@ -43,15 +43,6 @@ def read_list(file=FILE):
     """Return the recorded kernels as a list of `Recorded`."""
     rows = json.loads(file.read_text(encoding="utf-8"))
     return [Recorded(**{**row, "uses": tuple(row["uses"])}) for row in rows]
-
-
-def write_list(entries, file=FILE):
-    """Write the list, an entry a line in the order of the names, so that versions compare well."""
-    rows = [
-        json.dumps({**vars(entry), "uses": sorted(entry.uses)})
-        for entry in sorted(entries, key=lambda entry: entry.name)
-    ]
-    file.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
 
 
 def needed(uses, files=(FILE, CUDA_FILE)):

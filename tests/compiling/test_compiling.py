@@ -12,17 +12,18 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from benchmarks.record import write_list
 from rainsim.commands.status import Status
 from rainsim.compiling import waiting
 from rainsim.compiling.folder import stamp
 from rainsim.compiling.pool import VARIABLE, Pool, processes
-from rainsim.compiling.recorded import Recorded, needed, read_list, write_list
+from rainsim.compiling.recorded import Recorded, needed, read_list
 from rainsim.compiling.source_key import source_key
 from rainsim.compiling.start import missing, start
 from rainsim.compiling.uses import ALL, USES, uses_like
 from rainsim.config import Config
 
-AGAIN = "run `python -m rainsim.commands.record` and commit the list"
+AGAIN = "run `python -m benchmarks.record` and commit the list"
 without_jit = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="there are no kernels to compile"
 )
@@ -342,7 +343,7 @@ def test_the_list_names_kernels_that_exist(module):
 )
 def test_a_run_calls_what_the_list_says(use):
     done = subprocess.run(
-        [sys.executable, "-m", "rainsim.commands.record", "--one", use],
+        [sys.executable, "-m", "benchmarks.record", "--one", use],
         env=os.environ | {VARIABLE: "1", "RAINSIM_CACHE": "off"}, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

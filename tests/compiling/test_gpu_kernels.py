@@ -89,14 +89,14 @@ def test_a_run_on_a_gpu_is_like_a_recorded_one():
 @pytest.mark.gpu
 def test_a_run_on_a_gpu_calls_what_the_list_says():
     done = subprocess.run(
-        [sys.executable, "-m", "rainsim.commands.record", "--one", CUDA],
+        [sys.executable, "-m", "benchmarks.record", "--one", CUDA],
         env=os.environ | {"RAINSIM_COMPILE_PROCESSES": "1"}, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     called = {f"{row['kernel']}({row['arguments']})" for row in rows}
     recorded = [entry for entry in needed([CUDA], [CUDA_FILE]) if on_gpu(entry)]
-    again = "run `python -m rainsim.commands.record --cuda` and commit the list"
+    again = "run `python -m benchmarks.record --cuda` and commit the list"
     assert {name for name in called if name.startswith("rainsim.cuda.")} == {
         entry.name for entry in recorded
     }, again

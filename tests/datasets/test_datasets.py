@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.stored_views import read_points, read_views
 from rainsim.config.settings import Config
 from rainsim.datasets import (
     LAYOUTS,
@@ -25,7 +26,6 @@ from rainsim.datasets.card import card_of, card_text
 from rainsim.datasets.data_files import PNG48, DataFile, condition, write_file
 from rainsim.datasets.export import check_lenses, layout_of, safe_names
 from rainsim.datasets.points import ply_bytes, points_of
-from rainsim.datasets.reading import read_points, read_views
 from rainsim.datasets.sample import Plan, Sample, View, depth_mm, keep_mask, kitti_depth, kitti_flow
 from rainsim.datasets.splits import held_out
 from rainsim.datasets.user_labels import read_labels

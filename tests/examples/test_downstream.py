@@ -8,7 +8,7 @@ import pytest
 from test_examples import load
 
 from benchmarks import downstream
-from rainsim.datasets.reading import StoredView, read_views
+from benchmarks.stored_views import StoredView, read_views
 from rainsim.errors import ParameterError
 from rainsim.raster import prepare, rasterize
 from rainsim.scene.cameras import look_at

@@ -140,7 +140,7 @@ OPTIONS = {"fastmath", "nogil", "error_model", "parallel", "forceinline"}
 def test_only_jit_imports_numba():
     users = _users("numba")
     assert COMPILERS <= users
-    names = ("callees", "checked_files", "kernel_cache", "parts", "signatures", "watching")
+    names = ("callees", "checked_files", "kernel_cache", "parts", "signatures")
     kernels_on_disk = {f"compiling/{n}.py" for n in names}
     gpu = {f"cuda/{n}.py" for n in ("__init__", "kernel_cache", "launch", "scalars", "warp")}
     assert users <= COMPILERS | kernels_on_disk | gpu

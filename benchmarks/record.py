@@ -1,4 +1,4 @@
-"""Record which kernels each use calls: `python -m rainsim.commands.record [USE ...]`.
+"""Record which kernels each use calls: `python -m benchmarks.record [USE ...]`.
 
 Writes the list that `rainsim.compiling` compiles from. Run it after a kernel, its arguments or what
 it is called with have changed; it needs a minute or two once the kernels are compiled. With names
@@ -117,7 +117,7 @@ def run_one(use):
 
 
 def _run(commands, use, folder, found):
-    from rainsim.compiling.watching import watched, watched_cuda
+    from benchmarks.watching import watched, watched_cuda
 
     with watched(found), watched_cuda(found) if use in ALL_CUDA else nullcontext():
         for command, *words in command_lines(use, folder):
@@ -127,7 +127,7 @@ def _run(commands, use, folder, found):
 def record(use):
     """Run a use in a process of its own; return what it calls as `Recorded` by name."""
     done = subprocess.run(
-        [sys.executable, "-m", "rainsim.commands.record", "--one", use],
+        [sys.executable, "-m", "benchmarks.record", "--one", use],
         capture_output=True, text=True,
         env=os.environ | {VARIABLE: "1", "RAINSIM_CACHE": "off"},  # kept terrain calls no kernels
     )  # fmt: skip
@@ -187,10 +187,19 @@ def _write(use, found):
     file = recorded.CUDA_FILE if use in ALL_CUDA else recorded.FILE
     old = {e.name: e for e in recorded.read_list(file)} if file.is_file() else {}
     entries = merged(old, found, use)
-    recorded.write_list(entries.values(), file)
+    write_list(entries.values(), file)
     seconds = sum(entry.seconds for entry in entries.values())
     line = f"{use}: {len(found)} kernels; {len(entries)} in all, {seconds:.0f} s to compile"
     print(line, file=sys.stderr, flush=True)
+
+
+def write_list(entries, file):
+    """Write the list, an entry a line in the order of the names, so that versions compare well."""
+    rows = [
+        json.dumps({**vars(entry), "uses": sorted(entry.uses)})
+        for entry in sorted(entries, key=lambda entry: entry.name)
+    ]
+    file.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

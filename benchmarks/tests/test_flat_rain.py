@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rainsim.datasets.overlay import flat_rain, partners, streaks_in
+from benchmarks.flat_rain import flat_rain, partners, streaks_in
 from rainsim.errors import ParameterError
 
 
