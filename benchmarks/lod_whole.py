@@ -109,7 +109,7 @@ def draw(result, path):
         axes[0].plot([row["x"] for row in shown], [row["cpu_ms"] for row in shown], ls="",
                      color=COLORS[n], marker=MARKERS[n], ms=2.5 + n, label=label)  # fmt: skip
     axes[0].set(ylabel="ms of processors", yscale="log", ylim=(100, None))
-    axes[0].legend(fontsize=8, loc="upper right")
+    axes[0].legend(fontsize=8, loc="center right")
     for key, n, label in (("peak", 1, "at most"), ("resident", 0, "after a frame")):
         axes[1].plot([row["x"] for row in rows], [row[key] / 1e9 for row in rows],
                      color=COLORS[n], lw=1, label=label)  # fmt: skip
