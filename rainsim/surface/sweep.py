@@ -61,7 +61,7 @@ class GroundSweep:
         level = (surface.normal[:, 2] > LEVEL) & (surface.flat > 0.3)
         self._guess = surface.position[level].astype(np.float64)
         unit, rasterizer = np.float32(frame.meters_per_unit), Rasterizer(prepare(scene.splats))
-        for camera in scene.cameras[:: -(-len(scene.cameras) // MOST_CAMERAS)]:
+        for camera in _asked(scene):
             camera = resize_to(camera, min(WIDTH, camera.width))
             layers = rasterizer.draw(camera, NEAR / frame.meters_per_unit)
             placed = frame.camera_in_ground(camera)
@@ -137,6 +137,22 @@ class GroundSweep:
         sigma = step * np.sqrt(2 * np.maximum(at, 1e-9) / bend / weight)
         sigma[~known | (best != inner)] = np.inf
         return found, sigma
+
+
+def can_tell(scene, grid, floor):
+    """Return whether pictures enough may look at a map for `GroundSweep` to find a height there.
+
+    `floor` is the height of its lowest ground [m]. The answer follows from where the cameras stand.
+    """
+    eyes = scene.ground_frame.to_ground(np.array([camera.position for camera in _asked(scene)]))
+    first, last = np.array(grid.origin), np.array(grid.origin) + grid.size
+    gap = np.maximum(np.maximum(first - eyes[:, :2], eyes[:, :2] - last), 0)
+    far = (eyes[:, 2] - floor + 2 * GUESS_OFF) / LEAST_COSINE
+    return np.count_nonzero(np.linalg.norm(gap, axis=1) < far) > BY_CHANCE
+
+
+def _asked(scene):
+    return scene.cameras[:: -(-len(scene.cameras) // MOST_CAMERAS)]
 
 
 def _texture(color, alpha):

@@ -15,7 +15,7 @@ from rainsim.lod.held_parts import scene_over
 from rainsim.scene.ground import STRAY
 from rainsim.surface.kept_surface import STEPS as SURFACE_STEPS
 from rainsim.surface.kept_surface import kept_surface
-from rainsim.surface.sweep import GroundSweep
+from rainsim.surface.sweep import GroundSweep, can_tell
 from rainsim.terrain import assumed_bed, filters, types
 from rainsim.terrain import bed as bedding
 from rainsim.terrain.classify import EXCESS_GREEN, classify, is_green, mark_drains, painted_mask
@@ -293,22 +293,24 @@ class _Cloud:
         self.near_bed = (np.abs(self.above) < self.slab) & solid
         ceiling = _ceiling(scene)
         x, y = grid.centres()
-        level = self.level(*np.meshgrid(x[::8], y[::8]))
-        self.top = float(level.max()) + ceiling
-        self.floor = float(level.min()) - self.slab
+        ground = self.level(*np.meshgrid(x[::8], y[::8]))
+        self.top = float(ground.max()) + ceiling
+        self.floor = float(ground.min()) - self.slab
         self.below_ceiling = self.above < ceiling
         floating = lonely(self.position, self.splats, self.frame, grid, self.top)
         self.below_ceiling &= ~floating | (self.above <= self.slab)
         self.overhead = self.below_ceiling & (self.above > self.slab)
         self.sweep = None
-        found = kept_surface(scene, step) if is_photographed(scene) else None
+        # Few pictures may show a leg of a drive, and what they show takes long to find.
+        told = is_photographed(scene) and (level is None or can_tell(scene, grid, self.floor))
+        found = kept_surface(scene, step) if told else None
         if found is not None and self.poor is None:
             self.sweep = GroundSweep(scene, found.surface)
         self.places = self.position if found is None else found.surface.position
         self.notes = ()
-        if level.max() - level.min() > SLAB:
+        if ground.max() - ground.min() > SLAB:
             self.notes = (
-                f"the ground rises {level.max() - level.min():.2f} m within the map and was "
+                f"the ground rises {ground.max() - ground.min():.2f} m within the map and was "
                 f"followed on {share:.0%} of it",
             )
 

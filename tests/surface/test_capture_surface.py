@@ -367,6 +367,17 @@ def test_heights_come_from_specks_and_from_nothing_else(textured):
         assert np.abs(found - start).max() < 2e-3  # nothing to go by: as guessed
 
 
+def test_a_map_is_swept_where_six_pictures_may_show_it_and_elsewhere_nothing_is_found(yard):
+    near, far = Grid((40, 40), (-0.4, -0.4), 0.02), Grid((40, 40), (60.0, -0.4), 0.02)
+    assert sweep.can_tell(yard, near, 0.0) and not sweep.can_tell(yard, far, 0.0)
+    assert sweep.can_tell(replace(yard, cameras=yard.cameras[:6]), near, 0.0)
+    assert not sweep.can_tell(replace(yard, cameras=yard.cameras[:5]), near, 0.0)
+    surface = SimpleNamespace(normal=np.zeros((0, 3)), flat=np.zeros(0), position=np.zeros((0, 3)))
+    start = np.full(far.shape, 0.004, np.float32)
+    height, _ = sweep.GroundSweep(yard, surface).heights(far, start, np.ones(far.shape, bool))
+    np.testing.assert_array_equal(height, start)
+
+
 def test_offsets_that_are_tried_add_up(poisoned):
     pictures, _ = ground_seen(0.0, True)
     place = np.zeros((1, 1, 3), np.float32)
