@@ -16,7 +16,7 @@ from rainsim.numerics.srgb import LUMINANCE_WEIGHTS
 from rainsim.raster import Rasterizer, prepare
 from rainsim.scene.cameras import resize_to
 from rainsim.scene.view import lens_array
-from rainsim.surface.views import MOST_CAMERAS, NEAR, has_thin_splats
+from rainsim.surface.views import NEAR, asked_of, has_thin_splats
 
 WIDTH = 648  # px of the pictures, about that of most training
 TEXTURE = 4.0  # px, deviation of what is subtracted: light and shade are no texture
@@ -61,7 +61,7 @@ class GroundSweep:
         level = (surface.normal[:, 2] > LEVEL) & (surface.flat > 0.3)
         self._guess = surface.position[level].astype(np.float64)
         unit, rasterizer = np.float32(frame.meters_per_unit), Rasterizer(prepare(scene.splats))
-        for camera in _asked(scene):
+        for camera in asked_of(scene.cameras):
             camera = resize_to(camera, min(WIDTH, camera.width))
             layers = rasterizer.draw(camera, NEAR / frame.meters_per_unit)
             placed = frame.camera_in_ground(camera)
@@ -144,15 +144,12 @@ def can_tell(scene, grid, floor):
 
     `floor` is the height of its lowest ground [m]. The answer follows from where the cameras stand.
     """
-    eyes = scene.ground_frame.to_ground(np.array([camera.position for camera in _asked(scene)]))
+    asked = asked_of(scene.cameras)
+    eyes = scene.ground_frame.to_ground(np.array([camera.position for camera in asked]))
     first, last = np.array(grid.origin), np.array(grid.origin) + grid.size
     gap = np.maximum(np.maximum(first - eyes[:, :2], eyes[:, :2] - last), 0)
     far = (eyes[:, 2] - floor + 2 * GUESS_OFF) / LEAST_COSINE
     return np.count_nonzero(np.linalg.norm(gap, axis=1) < far) > BY_CHANCE
-
-
-def _asked(scene):
-    return scene.cameras[:: -(-len(scene.cameras) // MOST_CAMERAS)]
 
 
 def _texture(color, alpha):

@@ -59,7 +59,7 @@ def cameras_of(scene, middle, half):
     few cameras take a wall for sky, and what throws a shadow stands outside their pictures.
     """
     if len(scene.cameras) >= FEWEST_CAMERAS:
-        return scene.cameras[:: -(-len(scene.cameras) // MOST_CAMERAS)]
+        return asked_of(scene.cameras)
     made = list(scene.cameras)
     for share, high in RINGS:
         for k in range(ON_RING):
@@ -70,6 +70,11 @@ def cameras_of(scene, middle, half):
             camera = look_at(eye, at, (0, 0, 1), MADE_FOV, WIDTH, round(WIDTH / MADE_SHAPE))
             made.append(scene.ground_frame.camera_in_capture(camera))
     return made
+
+
+def asked_of(cameras):
+    """Return at most MOST_CAMERAS of some cameras, evenly spaced."""
+    return cameras[:: -(-len(cameras) // MOST_CAMERAS)]
 
 
 def has_thin_splats(splats):

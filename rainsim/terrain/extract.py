@@ -329,7 +329,7 @@ class _Cloud:
 
 
 def is_photographed(scene):
-    """Tell whether a scene is a capture, not in chunks, whose cameras show its surface."""
+    """Tell whether cameras show the surface of a capture that is held whole, or of such a part."""
     return scene.source is not None and bool(scene.cameras) and scene.pages is None
 
 
